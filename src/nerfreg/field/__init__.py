@@ -1,0 +1,6 @@
+"""The radiance field: hash grid, spherical harmonics and two small networks built by the layer factory."""
+
+from nerfreg.field.config import FieldConfig
+from nerfreg.field.radiance_field import RadianceField
+
+__all__ = ["FieldConfig", "RadianceField"]

@@ -1,0 +1,29 @@
+"""What a field is made of."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass
+class FieldConfig:
+    """Hash grid and networks.
+
+    levels, base, finest: number of grid levels and their coarsest and finest resolution across the scene's box.
+    log2_entries: log2 of the table entries a hashed level has; coarser levels that need fewer are stored densely.
+    hidden, geometry: width of the hidden layers, and of what the density network hands to the colour network.
+    density_layers, color_layers: number of layers of each network.
+    density_bias: added to the raw density before the exponential.
+    backend: "auto" (numba on the CPU, torch elsewhere), "numba" or "torch".
+    """
+
+    levels: int = 16
+    base: int = 16
+    finest: int = 1024
+    log2_entries: int = 17
+    hidden: int = 64
+    geometry: int = 15
+    density_layers: int = 2
+    color_layers: int = 3
+    density_bias: float = 0.0
+    backend: str = "auto"

@@ -1,0 +1,154 @@
+"""A small network of layers made by the layer factory, run in cache-sized chunks where the layers allow it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+from torch.nn import functional
+
+from nerfreg.field.layers import ACTIVATIONS, AffineLayer
+from nerfreg.field.workers import in_shares
+
+CHUNK = 4096
+"""Points per chunk: the activations of a 64 wide layer take 1 MB, about one core's level-2 cache."""
+
+
+class Network(nn.Module):
+    """Layers one after the other; each applies its own activation."""
+
+    def __init__(self, layers: list[nn.Module]) -> None:
+        super().__init__()
+        self.layers = nn.ModuleList(layers)
+
+    def forward(
+        self, x: Float[Tensor, "points in"], scale: Float[Tensor, " in"] | None = None, plain: bool = False
+    ) -> Float[Tensor, "points out"]:
+        """(P, in) to (P, out).
+
+        scale: factor of each input feature. x may be narrower than the first layer; the missing features are 0 and
+        cost nothing. plain: use autograd even where the fused path could run.
+        """
+        affine = None if plain else self._affine()
+        if affine is None:
+            return self._plain(x, scale)
+        weights = list(affine)
+        first = weights[0][:, : x.shape[1]]
+        weights[0] = first if scale is None else first * scale[: x.shape[1]]
+        activations = tuple(layer.activation for layer in self.layers)  # type: ignore[union-attr]
+        return _FusedNetwork.apply(x, activations, *weights)
+
+    def _affine(self) -> list[Any] | None:
+        """Weight and bias of every layer in turn, or None if some layer is not affine at the moment."""
+        parts: list[Any] = []
+        for layer in self.layers:
+            effective = layer.effective() if isinstance(layer, AffineLayer) else None
+            if effective is None:
+                return None
+            parts.extend(effective)
+        return parts
+
+    def _plain(self, x: Tensor, scale: Tensor | None) -> Tensor:
+        if scale is not None:
+            x = functional.pad(x * scale[: x.shape[1]], (0, len(scale) - x.shape[1]))
+        for layer in self.layers:
+            x = layer(x)
+        return x
+
+
+class _FusedNetwork(torch.autograd.Function):
+    """All layers over one chunk of points after the other, forward and backward.
+
+    For a ReLU the layer's output is kept, for the other activations what went into it; each once.
+    """
+
+    @staticmethod
+    def forward(ctx: Any, x: Tensor, activations: tuple[str, ...], *parameters: Tensor | None) -> Tensor:
+        layers = _layers(activations, parameters)
+        training = any(ctx.needs_input_grad)
+        kept = [x.new_empty(len(x), len(layer.weight)) for layer in layers[:-1]] if training else []
+        output = x.new_empty(len(x), len(layers[-1].weight))
+
+        def run(first: int, last: int) -> None:
+            buffers = [] if training else [x.new_empty(CHUNK, len(layer.weight)) for layer in layers[:-1]]
+            for start in range(first, last, CHUNK):
+                stop = min(start + CHUNK, last)
+                rows = [k[start:stop] for k in kept] if training else [b[: stop - start] for b in buffers]
+                hidden = x[start:stop]
+                for layer, out in zip(layers, [*rows, output[start:stop]], strict=True):
+                    hidden = layer.forward(hidden, out)
+
+        in_shares(len(x), CHUNK, run)
+        ctx.activations = activations
+        ctx.save_for_backward(x, *parameters, *kept)
+        return output
+
+    @staticmethod
+    def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor | None, ...]:
+        count = len(ctx.activations)
+        x, *rest = ctx.saved_tensors
+        layers, kept = _layers(ctx.activations, rest[: 2 * count]), rest[2 * count :]
+        x_grad = torch.empty_like(x) if ctx.needs_input_grad[0] else None
+
+        def run(first: int, last: int) -> list[Tensor | None]:
+            sums = [None if p is None else torch.zeros_like(p) for p in rest[: 2 * count]]
+            buffers = [x.new_empty(CHUNK, layer.weight.shape[1]) for layer in layers]
+            for start in range(first, last, CHUNK):
+                stop = min(start + CHUNK, last)
+                grad = grads[0][start:stop]
+                for i in range(count - 1, -1, -1):
+                    before = kept[i - 1][start:stop] if i else x[start:stop]
+                    activation = layers[i - 1].activation if i else "none"
+                    _add_parameter_grads(sums[2 * i : 2 * i + 2], grad, before, activation)
+                    if i:
+                        grad = layers[i].backward(grad, buffers[i][: stop - start], before, activation)
+                    elif x_grad is not None:
+                        torch.mm(grad, layers[0].weight, out=x_grad[start:stop])
+            return sums
+
+        shares = in_shares(len(x), CHUNK, run)
+        totals = [None if p is None else torch.zeros_like(p) for p in rest[: 2 * count]]
+        for sums in shares:
+            for total, part in zip(totals, sums, strict=True):
+                if total is not None:
+                    total += part
+        return x_grad, None, *totals
+
+
+class _Layer(NamedTuple):
+    weight: Tensor
+    bias: Tensor | None
+    activation: str
+
+    def forward(self, x: Tensor, out: Tensor) -> Tensor:
+        """Activation of x W^T + b; `out` holds it for a ReLU, else what went into it."""
+        if self.bias is None:
+            torch.mm(x, self.weight.t(), out=out)
+        else:
+            torch.addmm(self.bias, x, self.weight.t(), out=out)
+        return out.relu_() if self.activation == "relu" else ACTIVATIONS[self.activation](out)
+
+    def backward(self, grad: Tensor, out: Tensor, before: Tensor, activation: str) -> Tensor:
+        """Gradient of what went into the layer below, whose activation gave this layer's input."""
+        torch.mm(grad, self.weight, out=out)
+        if activation == "relu":
+            torch.ops.aten.threshold_backward.grad_input(out, before, 0, grad_input=out)
+        elif activation == "gelu":
+            torch.ops.aten.gelu_backward.grad_input(out, before, grad_input=out)
+        return out
+
+
+def _add_parameter_grads(sums: Sequence[Tensor | None], grad: Tensor, before: Tensor, activation: str) -> None:
+    weight, bias = sums
+    assert weight is not None
+    weight.addmm_(grad.t(), functional.gelu(before) if activation == "gelu" else before)
+    if bias is not None:
+        bias += grad.sum(dim=0)
+
+
+def _layers(activations: tuple[str, ...], parameters: Sequence[Tensor | None]) -> list[_Layer]:
+    weights = [weight for weight in parameters[::2] if weight is not None]
+    return [_Layer(*parts) for parts in zip(weights, parameters[1::2], activations, strict=True)]

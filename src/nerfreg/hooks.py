@@ -1,0 +1,242 @@
+"""The hook points, and the few dataclasses that pass through them.
+
+This is the page to read before writing a regularizer. A plugin is a dataclass that derives from `Regularizer`; its
+fields are its configuration (typed, with defaults), its methods marked `@hookimpl` are called by the core at the
+points specified in `HookSpecs`. R is the number of rays of a step, N the number of samples on each ray.
+
+A plugin that transforms something writes a wrapper around what the core (or the plugin before it) returns:
+
+    @hookimpl(wrapper=True)
+    def nerfreg_ray_bounds(self, rays, step):
+        near, far = yield
+        return near, far * 0.5
+
+An implementation may leave out the arguments that it does not use.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, ClassVar
+
+import pluggy
+import torch
+from jaxtyping import Bool, Float, Int
+from torch import Tensor
+
+from nerfreg.numerics import MIN_OPACITY, log_alpha
+
+if TYPE_CHECKING:
+    from torch import nn
+
+PROJECT = "nerfreg"
+hookspec = pluggy.HookspecMarker(PROJECT)
+hookimpl = pluggy.HookimplMarker(PROJECT)
+
+
+@dataclass(frozen=True)
+class Needs:
+    """What a plugin wants rendered beside random training pixels. The union over all active plugins is rendered.
+
+    patch_size: side S of square pixel patches among the training rays (0: none); the union takes the largest.
+    patch_fraction: the share of the training rays that lie in those patches.
+    neighbors: pairs of horizontally or vertically adjacent pixels, sampled at the same t. `"patch"` pairs rays of the
+        patches (which are then at least 2 x 2) and costs no extra ray; `"extra"` renders one more ray, without a
+        photograph behind it, for every training ray that lies in no patch.
+    unseen_rays: rays from poses between the training views, as a share of the training rays.
+    """
+
+    patch_size: int = 0
+    patch_fraction: float = 0.0
+    neighbors: str = "none"
+    unseen_rays: float = 0.0
+
+    def __or__(self, other: Needs) -> Needs:
+        order = ("none", "patch", "extra")
+        return Needs(
+            max(self.patch_size, other.patch_size),
+            max(self.patch_fraction, other.patch_fraction),
+            max(self.neighbors, other.neighbors, key=order.index),
+            max(self.unseen_rays, other.unseen_rays),
+        )
+
+
+@dataclass
+class Rays:
+    """The rays of one step. Rays 0..S-1 have a photograph behind them; the rest (extra neighbours, unseen views) not.
+
+    origins, directions: (R, 3) in world units; directions have unit length, so t is a distance.
+    near, far: (R,) the part of each ray that is sampled.
+    targets: (S, 3) colours in [0, 1].
+    background: (R, 3) what shines through where opacity is below 1; None where the photographs have no alpha.
+    patches: (P, S, S) ray indices; rows run down the image, columns to the right. None if nobody needs patches.
+    neighbors: (M, 2) ray indices of adjacent pixels, first the ray, then its neighbour. Both share their t.
+    unseen: (U,) ray indices from unseen poses.
+    groups: (R,) rays with the same number share their t; None if no rays do.
+    """
+
+    origins: Float[Tensor, "rays 3"]
+    directions: Float[Tensor, "rays 3"]
+    near: Float[Tensor, " rays"]
+    far: Float[Tensor, " rays"]
+    targets: Float[Tensor, "supervised 3"]
+    background: Float[Tensor, "rays 3"] | None = None
+    patches: Int[Tensor, "patches side side"] | None = None
+    neighbors: Int[Tensor, "pairs 2"] | None = None
+    unseen: Int[Tensor, " unseen"] | None = None
+    groups: Int[Tensor, " rays"] | None = None
+
+    def __len__(self) -> int:
+        return len(self.origins)
+
+
+@dataclass
+class Samples:
+    """What the encoders are about to see.
+
+    positions: (R, N, 3) world units. directions: (R, 3), or (R, N, 3) if a plugin made them differ along a ray.
+    t: (R, N) distances at which the field is evaluated.
+    density_features: how many of the hash grid's features are alive, counted from the coarsest; None means all.
+        Feature i is multiplied by clip(density_features - i, 0, 1); dead levels are never evaluated.
+    color_features: the same for the direction features of the colour network.
+    density_width, color_width: how many features there are, the grid's and the direction encoding's. Set by the core.
+    """
+
+    positions: Float[Tensor, "rays samples 3"]
+    directions: Float[Tensor, "rays 3"] | Float[Tensor, "rays samples 3"]
+    t: Float[Tensor, "rays samples"]
+    density_features: float | None = None
+    color_features: float | None = None
+    density_width: int = 0
+    color_width: int = 0
+
+
+@dataclass
+class Rendering:
+    """What compositing made of the rays. Plugins read it and never write into it.
+
+    rays: the rays that were rendered.
+    t_edges: (R, N+1) interval borders, ascending. t: (R, N) where the field was evaluated, inside the intervals.
+    tau: (R, N) optical thickness of each interval, density times length.
+    log_transmittance: (R, N) log of the light that reaches each interval.
+    weights: (R, N) the share of the ray's colour that each interval gives.
+    opacity, depth: (R,) sum of weights; expected distance, `far` for empty rays. rgb: (R, 3) with background.
+    density: (R, N) per world unit. colored: (R, N) the samples whose colour was evaluated (weight > 1e-4).
+    """
+
+    rays: Rays
+    t_edges: Float[Tensor, "rays edges"]
+    t: Float[Tensor, "rays samples"]
+    density: Float[Tensor, "rays samples"]
+    tau: Float[Tensor, "rays samples"]
+    log_transmittance: Float[Tensor, "rays samples"]
+    weights: Float[Tensor, "rays samples"]
+    opacity: Float[Tensor, " rays"]
+    depth: Float[Tensor, " rays"]
+    rgb: Float[Tensor, "rays 3"]
+    colored: Bool[Tensor, "rays samples"]
+
+    @cached_property
+    def alphas(self) -> Float[Tensor, "rays samples"]:
+        """1 - exp(-tau), without cancellation."""
+        return -torch.expm1(-self.tau)
+
+    @cached_property
+    def log_weights(self) -> Float[Tensor, "rays samples"]:
+        """log T + log(1 - exp(-tau)); -inf where tau is 0. True where the weight itself underflows."""
+        return self.log_transmittance + log_alpha(self.tau)
+
+    @property
+    def visible(self) -> Bool[Tensor, " rays"]:
+        """Rays that hit something: opacity of at least `MIN_OPACITY`."""
+        return self.opacity.detach() >= MIN_OPACITY
+
+
+@dataclass
+class Step:
+    """Where the run stands.
+
+    index: steps done before this one. fraction: share of the budget (steps or seconds) spent, 0 to 1.
+    total: the number of steps the run will have, an estimate while the budget is in seconds.
+    generator: the run's source of randomness on the CPU. bounds: near and far of the whole scene.
+    rerender: render the same rays at the same t, with colours for the same samples, through the hooks again.
+    """
+
+    index: int
+    total: int
+    fraction: float
+    generator: torch.Generator
+    bounds: tuple[float, float]
+    rerender: Callable[[Rendering], Rendering]
+
+
+@dataclass
+class Regularizer:
+    """Base of all plugins: a dataclass whose fields are the plugin's configuration.
+
+    weight: factor of every term that `nerfreg_loss` returns; 0 switches the plugin's loss off at no cost.
+    start, end: when the plugin is active: a step (integer) or a fraction of the budget (0.0 to 1.0).
+
+    Class attributes, not configuration: `by_layout` maps how the cameras stand ("orbit" or "forward") to defaults
+    that differ there, e.g. `{"forward": {"weight": 2e-5}}`; they hold wherever the user says nothing. `conflicts`
+    names plugins that cannot be active in the same run. `cite` is a BibTeX entry.
+    """
+
+    weight: float = 1.0
+    start: int | float = 0.0
+    end: int | float = 1.0
+
+    by_layout: ClassVar[dict[str, dict[str, Any]]] = {}
+    conflicts: ClassVar[tuple[str, ...]] = ()
+    cite: ClassVar[str] = ""
+
+    def active(self, step: Step) -> bool:
+        """Whether `step` lies in [start, end); the last step of a run belongs to `end: 1.0`."""
+        begun = step.index >= self.start if isinstance(self.start, int) else step.fraction >= self.start
+        if isinstance(self.end, int):
+            return begun and step.index < self.end
+        return begun and (step.fraction < self.end or self.end >= 1.0)
+
+
+class HookSpecs:
+    """All hooks, in the order in which a step calls them."""
+
+    @hookspec(firstresult=True)
+    def nerfreg_layer(
+        self, network: str, index: int, in_features: int, out_features: int, activation: str
+    ) -> nn.Module | None:
+        """Make one layer of a network, when the field is built.
+
+        network: "density" or "color". index: from 0, the layer nearest the input.
+        activation: "relu" for hidden layers, "none" for the last; the layer applies it itself.
+        Returns a module from (points, in_features) to (points, out_features). An `AffineLayer` tells its effective
+        weight and bias and runs in the fused kernels; any other module runs through autograd.
+        The core makes a plain linear layer without bias.
+        """
+
+    @hookspec
+    def nerfreg_needs(self, step: Step) -> Needs | None:
+        """Ask for patches, neighbours or unseen rays in the coming step."""
+
+    @hookspec(firstresult=True)
+    def nerfreg_ray_bounds(
+        self, rays: Rays, step: Step
+    ) -> tuple[Float[Tensor, " rays"], Float[Tensor, " rays"]] | None:
+        """Near and far of each ray, (R,) each, in training. The core returns those of `rays`."""
+
+    @hookspec(firstresult=True)
+    def nerfreg_encoder_input(self, samples: Samples, step: Step) -> Samples | None:
+        """Change what the encoders see: positions, directions, or how many features are alive.
+
+        Called for every evaluation of the field in training. The core returns `samples`. Positions and directions
+        that require a gradient get one.
+        """
+
+    @hookspec
+    def nerfreg_loss(self, rendering: Rendering, step: Step) -> dict[str, Float[Tensor, ""]]:
+        """Return scalar terms by name, unweighted, reduced by the mean over rays.
+
+        Called for plugins whose weight is not 0 and whose window is open. Never change `rendering`.
+        """

@@ -1,0 +1,144 @@
+"""The rays of a step, drawn from all training images at once."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from nerfreg.errors import NerfregError
+from nerfreg.hooks import Needs, Rays
+from nerfreg.rays.clipping import clip_to_box
+from nerfreg.rays.patches import adjacent_pixels, patch_neighbors, patch_pixels
+from nerfreg.rays.unseen import poses_between
+from nerfreg.scenes.scene import Scene
+
+
+class RayBatches:
+    """Draws batches of `count` training rays, and beside them whatever the plugins need.
+
+    Random pixels are drawn among those whose rays meet the scene's box; the others could teach nothing. Photographs
+    with alpha are put on a random background in every ray, so that emptiness cannot be painted.
+    """
+
+    def __init__(self, scene: Scene, count: int, device: torch.device, generator: torch.Generator) -> None:
+        self.scene = scene
+        self.count = count
+        self.device = device
+        self.generator = generator
+        self.views = torch.tensor(scene.train)
+        self.images = torch.stack([scene.read_image(view) for view in scene.train])
+        self.pixels = self._useful_pixels()
+
+    def draw(self, needs: Needs) -> Rays:
+        """The rays of one step: pixels, then patches, then extra neighbours, then unseen views."""
+        side = max(needs.patch_size, 2 if needs.neighbors == "patch" else 0)
+        patches = round(self.count * needs.patch_fraction / side**2) if side else 0
+        singles = self.count - patches * side**2
+        image, pixel = self._random_pixels(singles)
+        neighbors: list[Tensor] = []
+        groups = torch.arange(singles)
+        patch_index = None
+        if patches:
+            patch_image, patch_pixel = self._random_patches(patches, side)
+            image, pixel = torch.cat([image, patch_image]), torch.cat([pixel, patch_pixel])
+            patch_index = singles + torch.arange(patches * side**2).view(patches, side, side)
+            groups = torch.cat([groups, singles + torch.arange(patches).repeat_interleave(side**2)])
+            if needs.neighbors != "none":
+                neighbors.append(singles + patch_neighbors(patches, side, self.generator))
+        targets = self._colors(image, pixel)
+        origins, directions = self.scene.cameras.rays(self.views[image], pixel)
+        if needs.neighbors == "extra":
+            width, height = self.scene.cameras.width, self.scene.cameras.height
+            adjacent = adjacent_pixels(pixel[:singles], width, height, self.generator)
+            more = self.scene.cameras.rays(self.views[image[:singles]], adjacent)
+            neighbors.append(torch.stack([torch.arange(singles), len(origins) + torch.arange(singles)], dim=1))
+            groups = torch.cat([groups, torch.arange(singles)])
+            origins, directions = torch.cat([origins, more[0]]), torch.cat([directions, more[1]])
+        unseen = None
+        if needs.unseen_rays > 0:
+            more = self._unseen_rays(round(self.count * needs.unseen_rays))
+            unseen = len(origins) + torch.arange(len(more[0]))
+            groups = torch.cat([groups, int(groups.max()) + 1 + torch.arange(len(more[0]))])
+            origins, directions = torch.cat([origins, more[0]]), torch.cat([directions, more[1]])
+        near, far = clip_to_box(origins, directions, self.scene.box, self.scene.near, self.scene.far)
+        background = None
+        if self.scene.has_alpha:
+            background = torch.rand(len(origins), 3, generator=self.generator)
+            alpha = targets[:, 3:]
+            targets = targets[:, :3] * alpha + background[: len(targets)] * (1 - alpha)
+        return self._to_device(
+            Rays(
+                origins=origins,
+                directions=directions,
+                near=near,
+                far=far,
+                targets=targets,
+                background=background,
+                patches=patch_index,
+                neighbors=torch.cat(neighbors) if neighbors else None,
+                unseen=unseen,
+                groups=groups if neighbors else None,
+            )
+        )
+
+    def _useful_pixels(self) -> Int[Tensor, "useful 3"]:
+        """(image, x, y) of all training pixels whose rays meet the box."""
+        width, height = self.scene.cameras.width, self.scene.cameras.height
+        y, x = torch.meshgrid(torch.arange(height), torch.arange(width), indexing="ij")
+        pixel = torch.stack([x, y], dim=-1).view(-1, 2)
+        useful = []
+        for image, view in enumerate(self.views):
+            origins, directions = self.scene.cameras.rays(view.expand(len(pixel)), pixel)
+            near, far = clip_to_box(origins, directions, self.scene.box, self.scene.near, self.scene.far)
+            hit = pixel[far > near]
+            useful.append(torch.cat([torch.full((len(hit), 1), image), hit], dim=1))
+        pixels = torch.cat(useful)
+        if len(pixels) == 0:
+            raise NerfregError(f"scene {self.scene.name}: no ray of a training view meets scene.box; check the poses")
+        return pixels.to(torch.int32)
+
+    def _random_pixels(self, count: int) -> tuple[Int[Tensor, " rays"], Int[Tensor, "rays 2"]]:
+        chosen = self.pixels[torch.randint(len(self.pixels), (count,), generator=self.generator)].long()
+        return chosen[:, 0], chosen[:, 1:]
+
+    def _random_patches(self, count: int, side: int) -> tuple[Int[Tensor, " rays"], Int[Tensor, "rays 2"]]:
+        """Patches around random useful pixels, moved to lie inside the image."""
+        limit = torch.tensor([self.scene.cameras.width, self.scene.cameras.height]) - side
+        if limit.min() < 0:
+            raise NerfregError(f"patch_size {side} is larger than the images of scene {self.scene.name}")
+        image, pixel = self._random_pixels(count)
+        corners = torch.minimum((pixel - side // 2).clamp_min(0), limit)
+        return image.repeat_interleave(side**2), patch_pixels(corners, side).view(-1, 2)
+
+    def _colors(self, image: Tensor, pixel: Tensor) -> Float[Tensor, "rays channels"]:
+        return self.images[image, pixel[:, 1], pixel[:, 0]]
+
+    def _unseen_rays(self, count: int) -> tuple[Float[Tensor, "rays 3"], Float[Tensor, "rays 3"]]:
+        """Rays through random pixels of cameras at random places between two training cameras, one camera a ray."""
+        cameras, cpu = self.scene.cameras, self.generator
+        chosen = torch.randint(len(self.views), (2, count), generator=cpu)
+        first, second = cameras.poses[self.views[chosen]]
+        center = self.scene.box.mean(dim=0) if self.scene.layout == "orbit" else None
+        poses = poses_between(first, second, torch.rand(count, generator=cpu), center)
+        size = torch.tensor([cameras.width, cameras.height])
+        pixel = (torch.rand(count, 2, generator=cpu) * size).long()
+        view = self.views[chosen[0]]
+        between = dataclasses.replace(
+            cameras,
+            poses=poses,
+            focal=cameras.focal[view],
+            center=cameras.center[view],
+            distortion=cameras.distortion[view],
+        )
+        return between.rays(torch.arange(count), pixel)
+
+    def _to_device(self, rays: Rays) -> Rays:
+        if self.device.type == "cpu":
+            return rays
+        moved = {
+            name: value.to(self.device) for name, value in vars(rays).items() if isinstance(value, Tensor)
+        }
+        return dataclasses.replace(rays, **moved)

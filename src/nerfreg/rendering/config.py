@@ -1,0 +1,20 @@
+"""Where a ray is sampled."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass
+class SamplerConfig:
+    """Stratified samples, then importance samples of the same network, all of them rendered.
+
+    coarse, fine: samples per ray of the first and second kind (64 + 128 in the paper).
+    spacing: "linear" spreads the coarse samples evenly in distance, "disparity" in its reciprocal.
+    skip_resolution: cells a side of the occupancy grid that lets test views skip empty space.
+    """
+
+    coarse: int = 64
+    fine: int = 128
+    spacing: str = "linear"
+    skip_resolution: int = 128

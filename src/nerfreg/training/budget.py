@@ -1,0 +1,52 @@
+"""How much of a run is done, in steps or in seconds."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+from nerfreg.errors import NerfregError
+from nerfreg.training.config import TrainConfig
+
+
+class Budget:
+    """Steps and seconds spent; the run ends when either is used up.
+
+    Only what happens inside `spend` counts, so that evaluation and compilation cost nothing.
+    """
+
+    def __init__(self, config: TrainConfig) -> None:
+        if config.steps is None and config.seconds is None:
+            raise NerfregError("train.steps and train.seconds are both null: a run needs an end, set one of them")
+        for key in ("steps", "seconds", "rays"):
+            value = getattr(config, key)
+            if value is not None and value <= 0:
+                raise NerfregError(f"train.{key}={value}: must be positive")
+        self.config = config
+        self.step = 0
+        self.seconds = 0.0
+
+    @property
+    def fraction(self) -> float:
+        """Share of the budget that is spent, 0 to 1."""
+        by_steps = self.step / self.config.steps if self.config.steps is not None else 0.0
+        by_time = self.seconds / self.config.seconds if self.config.seconds is not None else 0.0
+        return min(max(by_steps, by_time), 1.0)
+
+    @property
+    def total(self) -> int:
+        """The number of steps that the run will have, as far as can be told now."""
+        limit = self.config.steps
+        if self.config.seconds is None or self.step == 0:
+            return limit if limit is not None else 1
+        projected = max(self.step, round(self.step * self.config.seconds / max(self.seconds, 1e-9)))
+        return projected if limit is None else min(limit, projected)
+
+    @contextmanager
+    def spend(self) -> Iterator[None]:
+        """Count one step and the time it takes."""
+        start = time.perf_counter()
+        yield
+        self.seconds += time.perf_counter() - start
+        self.step += 1
