@@ -1,0 +1,198 @@
+"""A scene that needs no file: textured solids on a ground, ray-traced exactly, with true depth."""
+
+from __future__ import annotations
+
+import colorsys
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cache
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from nerfreg.errors import NerfregError
+from nerfreg.scenes.base import LAYOUTS, SceneConfig, assemble
+from nerfreg.scenes.cameras import Cameras
+from nerfreg.scenes.checks import check_choice
+from nerfreg.scenes.images import reduce
+from nerfreg.scenes.poses import look_at
+from nerfreg.scenes.scene import Scene
+from nerfreg.scenes.solids import BALL, BLOCK, DRUM, Solid, Still, Texture
+from nerfreg.scenes.splits import Split
+
+FIELD_OF_VIEW = 0.69
+ORBIT_DISTANCE = 4.0
+FORWARD_DISTANCE = 3.0
+SUPERSAMPLES = 2
+GOLDEN_ANGLE = math.pi * (3 - math.sqrt(5))
+TARGET = np.array([0.0, 0.0, -0.05])
+
+
+@dataclass
+class Procedural(SceneConfig):
+    """Textured solids with view-dependent shading; the cameras orbit them or face them (`layout`).
+
+    size: width of the images in pixels; height: None makes them square. test_views: number of test views.
+    seed: colours and textures. Training views do not depend on `test_views`, nor test views on `views`.
+    """
+
+    views: int | None = 8
+    layout: str | None = "orbit"
+    size: int = 128
+    height: int | None = None
+    test_views: int = 8
+    seed: int = 0
+
+    def load(self) -> Scene:
+        """Place cameras and solids. Images are rendered when they are first read, and kept."""
+        layout = check_choice("scene.layout", self.layout or "orbit", LAYOUTS)
+        cameras, split = self._cameras(layout)
+        still = solids_of(layout, self.seed)
+
+        @cache
+        def read_image(view: int) -> Tensor:
+            return render(still, cameras, view, has_alpha=layout == "orbit")
+
+        @cache
+        def read_depth(view: int) -> Tensor:
+            return depth(still, cameras, view)
+
+        return assemble(
+            self,
+            name=f"procedural-{layout}",
+            cameras=cameras,
+            split=split,
+            labels=[f"{'train' if view in split.train else 'test'}/{view}" for view in range(len(cameras))],
+            read_image=read_image,
+            has_alpha=layout == "orbit",
+            layout=layout,
+            depths=depth_range(still, cameras, split.train) if layout == "forward" else None,
+            read_depth=read_depth,
+        )
+
+    def _cameras(self, layout: str) -> tuple[Cameras, Split]:
+        views = 8 if self.views is None else self.views
+        height = self.size if self.height is None else self.height
+        for key, value in (("views", views), ("test_views", self.test_views), ("size", self.size), ("height", height)):
+            if value < 1:
+                raise NerfregError(f"scene.{key}={value}: must be at least 1")
+        place = orbit_positions if layout == "orbit" else forward_positions
+        positions = np.concatenate((place(views, False), place(self.test_views, True)))
+        poses = np.stack([look_at(position, TARGET, np.array([0.0, 0.0, 1.0])) for position in positions])
+        count = len(poses)
+        # Of the narrower side, so that the solids fit whatever the shape of the image.
+        focal = 0.5 * min(self.size, height) / math.tan(0.5 * FIELD_OF_VIEW)
+        cameras = Cameras(
+            self.size,
+            height,
+            torch.from_numpy(poses).float(),
+            torch.full((count, 2), focal),
+            torch.tensor([self.size / 2, height / 2]).expand(count, 2),
+            torch.zeros(count, 5),
+        )
+        if self.split is None and self.train is None and self.test is None:
+            return cameras, Split(tuple(range(views)), tuple(range(views, count)))
+        return cameras, replace(self, views=None).split_of_one(count)
+
+
+def orbit_positions(count: int, between: bool) -> Float[np.ndarray, "count 3"]:
+    """Cameras on the upper hemisphere, turning by the golden angle as they climb from 15 to 65 degrees.
+
+    between: stand half a turn and half a climb further, between the others.
+    """
+    index = np.arange(count)
+    azimuth = GOLDEN_ANGLE * (index + (0.5 if between else 0.0))
+    share = (index + (1.0 if between else 0.5)) / (count + (1.0 if between else 0.0))
+    low, high = math.sin(math.radians(15)), math.sin(math.radians(65))
+    up = low + (high - low) * share
+    across = np.sqrt(1 - up * up)
+    return TARGET + ORBIT_DISTANCE * np.stack((across * np.cos(azimuth), across * np.sin(azimuth), up), axis=1)
+
+
+def forward_positions(count: int, between: bool) -> Float[np.ndarray, "count 3"]:
+    """Cameras side by side in a few rows, 1.4 wide and 0.7 high. between: a smaller, shifted grid inside that one."""
+    rows = max(1, round(math.sqrt(count / 2)))
+    spots = []
+    for row in range(rows):
+        columns = count // rows + (row < count % rows)
+        spots += [(_centered(column, columns), _centered(row, rows)) for column in range(columns)]
+    grid = np.array(spots)
+    if between:
+        # The shift keeps every test camera off the training cameras, whatever the counts.
+        grid = 0.7 * grid + (0.11, 0.17)
+    x, z = grid.T
+    return np.stack((0.7 * x, np.full(count, -FORWARD_DISTANCE), 0.35 * z + 0.4), axis=1)
+
+
+def _centered(index: int, count: int) -> float:
+    return 0.0 if count == 1 else 2 * index / (count - 1) - 1
+
+
+def solids_of(layout: str, seed: int) -> Still:
+    """The solids: on a round plate for an orbit, on a wide floor before a wall for cameras that face forward."""
+    generator = torch.Generator().manual_seed(seed)
+    hue = float(torch.rand(1, generator=generator))
+
+    def texture(pattern: str, index: int, period: float, saturation: float = 0.75) -> Texture:
+        base = (hue + 0.381966 * index) % 1
+        tones = (
+            colorsys.hsv_to_rgb(base, saturation, 0.85),
+            colorsys.hsv_to_rgb((base + 0.12) % 1, 0.45 * saturation, 0.95),
+        )
+        return Texture(pattern, torch.tensor(tones), period, torch.rand(3, generator=generator))
+
+    solids = [
+        Solid(BALL, (-0.35, 0.25, -0.10), (0.40, 0.40, 0.40), texture("marble", 0, 0.9), gloss=0.6),
+        Solid(BLOCK, (0.42, 0.30, -0.15), (0.28, 0.24, 0.35), texture("checker", 1, 0.35), turn=0.5),
+        Solid(DRUM, (0.12, -0.50, -0.05), (0.18, 0.18, 0.45), texture("stripes", 2, 0.3), gloss=0.5),
+        Solid(BALL, (-0.52, -0.48, -0.28), (0.22, 0.22, 0.22), texture("dots", 3, 0.3), gloss=0.6),
+        Solid(BALL, (0.66, -0.30, -0.30), (0.20, 0.28, 0.20), texture("stripes", 4, 0.25), turn=0.7, gloss=0.5),
+        Solid(BLOCK, (0.42, 0.30, 0.35), (0.15, 0.15, 0.15), texture("marble", 5, 0.5), turn=1.1),
+    ]
+    if layout == "orbit":
+        solids.append(Solid(DRUM, (0.0, 0.0, -0.55), (1.15, 1.15, 0.05), texture("checker", 6, 1.1, 0.35), gloss=0.1))
+    else:
+        solids.append(Solid(BLOCK, (0.0, 0.0, -10.5), (20.0, 20.0, 10.0), texture("checker", 6, 1.1, 0.35), gloss=0.1))
+        solids.append(Solid(BLOCK, (0.0, 11.5, 0.0), (20.0, 10.0, 20.0), texture("marble", 7, 2.2, 0.5), gloss=0.1))
+    return Still(solids)
+
+
+def render(still: Still, cameras: Cameras, view: int, has_alpha: bool) -> Float[Tensor, "height width channels"]:
+    """The image of a view, each pixel the mean of 2 x 2 rays; with alpha, that is the share of rays that hit."""
+    fine = replace(
+        cameras,
+        width=cameras.width * SUPERSAMPLES,
+        height=cameras.height * SUPERSAMPLES,
+        focal=cameras.focal * SUPERSAMPLES,
+        center=cameras.center * SUPERSAMPLES,
+    )
+    origins, directions = fine.image_rays(view)
+    colors, hit = still.shade(origins, directions)
+    pixels = torch.cat((colors, hit[:, None].to(colors)), -1) if has_alpha else colors
+    return reduce(pixels.float().reshape(fine.height, fine.width, -1), SUPERSAMPLES)
+
+
+def depth(still: Still, cameras: Cameras, view: int) -> Float[Tensor, "height width"]:
+    """Distance along the rays through the pixel centres, inf where they meet nothing."""
+    origins, directions = cameras.image_rays(view)
+    distance, _ = still.trace(origins.double(), directions.double())
+    return distance.float().reshape(cameras.height, cameras.width)
+
+
+def depth_range(still: Still, cameras: Cameras, views: Sequence[int]) -> tuple[float, float]:
+    """Least and greatest depth along the optical axis that the views see, on a lattice of their pixels."""
+    stride = max(1, min(cameras.width, cameras.height) // 32)
+    y, x = torch.meshgrid(
+        torch.arange(0, cameras.height, stride), torch.arange(0, cameras.width, stride), indexing="ij"
+    )
+    pixels = torch.stack((x, y), -1).reshape(-1, 2)
+    least, greatest = math.inf, 0.0
+    for view in views:
+        origins, directions = cameras.rays(torch.full((len(pixels),), view), pixels)
+        distance, _ = still.trace(origins.double(), directions.double())
+        depths = distance.float() * (directions @ cameras.axes[view])
+        least, greatest = min(least, float(depths.min())), max(greatest, float(depths.max()))
+    return least, greatest
