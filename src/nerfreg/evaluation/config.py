@@ -1,0 +1,56 @@
+"""When and on what a run is scored."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from nerfreg.errors import NerfregError
+
+FIRST_EVALUATION = 0.02
+"""Share of the budget after which a run is scored for the first time."""
+
+
+@dataclass
+class EvalConfig:
+    """How a run is scored.
+
+    lpips: whether to compute LPIPS. lpips_weights: safetensors file with its weights; None looks for one.
+    count: evaluations of a run, log-spaced over its budget; the last is at the end, on all test views at full size.
+    subset_size, pixels_stride: the evaluations before that take this many test views and every so-manieth pixel.
+    save_renders: how many test views are saved as PNG at the end; None saves all.
+    """
+
+    lpips: bool = True
+    lpips_weights: str | None = None
+    count: int = 8
+    subset_size: int = 2
+    pixels_stride: int = 4
+    save_renders: int | None = None
+
+    def __post_init__(self) -> None:
+        lowest = {"count": 1, "subset_size": 1, "pixels_stride": 1, "save_renders": 0}
+        for key, low in lowest.items():
+            value = getattr(self, key)
+            if value is not None and value < low:
+                raise NerfregError(f"eval.{key}={value}: must be at least {low}")
+
+
+def evaluation_times(seconds: float | None, steps: int | None, count: int) -> tuple[float, ...]:
+    """Shares of the budget at which a run is scored: `count` of them, log-spaced from 0.02 to exactly 1.0, ascending.
+
+    Where the budget is in steps alone, shares are rounded up to whole steps and duplicates dropped, so that
+    `step / steps >= share` holds on the very step that was meant.
+    """
+    shares = [FIRST_EVALUATION ** (1 - i / (count - 1)) for i in range(count - 1)] + [1.0]
+    if seconds is None and steps:
+        shares = [min(steps, math.ceil(share * steps)) / steps for share in shares]
+    return tuple(sorted(set(shares)))
+
+
+def subset_of(views: Sequence[int], size: int) -> tuple[int, ...]:
+    """`size` of the views, evenly spaced over their order and always the same; all of them where there are fewer."""
+    if size >= len(views):
+        return tuple(views)
+    return tuple(views[(2 * i + 1) * len(views) // (2 * size)] for i in range(size))

@@ -1,0 +1,61 @@
+"""Write frames as a film."""
+
+from __future__ import annotations
+
+import importlib.util
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+from torch import Tensor
+
+from nerfreg.errors import NerfregError
+from nerfreg.evaluation.files import atomic
+from nerfreg.evaluation.images import to_uint8
+
+
+def write_video(path: Path, frames: Iterable[Float[Tensor, "height width 3"]], fps: int | float = 30) -> None:
+    """Write frames in [0, 1] to a .gif (endless; delays in whole 1/100 s) or .mp4 file, whole or not at all.
+
+    Raises NerfregError for other suffixes, without frames, and for mp4 where imageio-ffmpeg is not installed; that
+    is found out before the first frame is asked for.
+    """
+    writers = {".gif": _write_gif, ".mp4": _write_mp4}
+    writer = writers.get(path.suffix.lower())
+    if writer is None:
+        raise NerfregError(f"{path}: unknown kind of film {path.suffix!r}; use .gif or .mp4")
+    if writer is _write_mp4 and importlib.util.find_spec("imageio_ffmpeg") is None:
+        raise NerfregError(f"{path}: mp4 needs imageio-ffmpeg; pip install nerfreg[video], or write a .gif")
+    with atomic(path) as part:
+        count = writer(part, (to_uint8(frame) for frame in frames), fps)
+        if count == 0:
+            raise NerfregError(f"{path}: no frames to write")
+
+
+def _write_gif(path: Path, frames: Iterable[np.ndarray], fps: int | float) -> int:
+    import imageio.v3 as iio
+
+    images = list(frames)
+    if images:
+        iio.imwrite(path, images, plugin="pillow", duration=1000.0 / fps, loop=0)
+    return len(images)
+
+
+def _write_mp4(path: Path, frames: Iterable[np.ndarray], fps: int | float) -> int:
+    from imageio.v2 import get_writer
+
+    count = 0
+    # macro_block_size 1: imageio would otherwise rescale frames whose sides are no multiples of 16
+    film: Any = get_writer(path, format="FFMPEG", fps=fps, codec="libx264", quality=8, macro_block_size=1)
+    with film:
+        for frame in frames:
+            film.append_data(_even_sides(frame))
+            count += 1
+    return count
+
+
+def _even_sides(frame: np.ndarray) -> np.ndarray:
+    """Repeat the last row or column where there is an odd number of them, as H.264 requires."""
+    return np.pad(frame, ((0, frame.shape[0] % 2), (0, frame.shape[1] % 2), (0, 0)), mode="edge")
