@@ -1,0 +1,81 @@
+"""Depth smoothness on patches of adjacent pixels. Source: RegNeRF (Niemeyer et al. 2022), used by CombiNeRF."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum, auto
+from typing import Any, ClassVar
+
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from nerfreg import Needs, Regularizer, Rendering, Step, hookimpl
+
+
+def depth_smoothness(
+    depth_patches: Float[Tensor, "patches side side"],
+    visible: Bool[Tensor, "patches side side"] | None = None,
+    opacity: Float[Tensor, "patches side side"] | None = None,
+) -> Float[Tensor, ""]:
+    """Sum over i, j = 1..S-1 of (d_ij - d_{i+1,j})^2 + (d_ij - d_{i,j+1})^2, mean over patches.
+
+    depth_patches: (P, S, S). visible: (P, S, S), terms where either pixel is not visible are left out; None: all
+    are. opacity: (P, S, S), a factor of the terms of pixel ij; None: 1. Patches of one pixel, and no patches, give 0.
+    """
+    depth = depth_patches if visible is None else depth_patches.where(visible, 0.0)
+    down = (depth[:, :-1, :-1] - depth[:, 1:, :-1]).square()
+    right = (depth[:, :-1, :-1] - depth[:, :-1, 1:]).square()
+    if visible is not None:
+        down = down * (visible[:, :-1, :-1] & visible[:, 1:, :-1])
+        right = right * (visible[:, :-1, :-1] & visible[:, :-1, 1:])
+    terms = down + right if opacity is None else (down + right) * opacity[:, :-1, :-1]
+    return terms.sum() / max(len(depth_patches), 1)
+
+
+class Reduction(StrEnum):
+    """How the terms of one patch are reduced."""
+
+    sum = auto()
+    mean = auto()
+
+
+@dataclass
+class DepthSmoothness(Regularizer):
+    """Adjacent pixels have similar depth (RegNeRF, CombiNeRF).
+
+    Depth is normalised to [0, 1] between the scene's near and far. patch_size: side of the patches in pixels.
+    patch_fraction: share of the training rays in patches. reduction: `sum` over a patch, or `mean` over its
+    (S-1)^2 pixels. opacity_weighted: each term times the opacity of its pixel, which gets no gradient from it.
+    """
+
+    weight: float = 0.1
+    patch_size: int = 4
+    patch_fraction: float = 0.25
+    reduction: Reduction = Reduction.sum
+    opacity_weighted: bool = False
+
+    by_layout: ClassVar[dict[str, dict[str, Any]]] = {"forward": {"weight": 0.1}, "orbit": {"weight": 0.01}}
+    cite: ClassVar[str] = """@inproceedings{niemeyer2022regnerf,
+  title = {{RegNeRF}: Regularizing Neural Radiance Fields for View Synthesis from Sparse Inputs},
+  author = {Niemeyer, Michael and Barron, Jonathan T. and Mildenhall, Ben and Sajjadi, Mehdi S. M.
+            and Geiger, Andreas and Radwan, Noha},
+  booktitle = {CVPR},
+  year = {2022}
+}"""
+
+    @hookimpl
+    def nerfreg_needs(self) -> Needs:
+        return Needs(patch_size=self.patch_size, patch_fraction=self.patch_fraction)
+
+    @hookimpl
+    def nerfreg_loss(self, rendering: Rendering, step: Step) -> dict[str, Float[Tensor, ""]]:
+        patches = rendering.rays.patches
+        if patches is None:
+            return {}
+        near, far = step.bounds
+        depth = (rendering.depth[patches] - near) / (far - near)
+        opacity = rendering.opacity.detach()[patches] if self.opacity_weighted else None
+        term = depth_smoothness(depth, rendering.visible[patches], opacity)
+        if self.reduction == Reduction.mean:
+            term = term / max(patches.shape[-1] - 1, 1) ** 2
+        return {"depth_smoothness": term}
