@@ -7,7 +7,7 @@ splits the levels, so that no two threads add to the same entry and the sums hav
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, no_type_check
 
 import numpy as np
 import torch
@@ -22,16 +22,18 @@ ONE = np.float32(1)
 PARALLEL = {"parallel": True, "fastmath": {"contract", "nsz"}, "nogil": True, "cache": True, "error_model": "numpy"}
 
 
+@no_type_check
 @njit(inline="always")
-def _cell(x, cells):  # type: ignore[no-untyped-def]
+def _cell(x, cells):
     """Cell that contains x, clipped to the grid, and how far into the cell x lies."""
     scaled = x * np.float32(cells)
     low = min(max(np.int64(scaled), 0), cells - 1)
     return np.uint32(low), scaled - np.float32(low)
 
 
+@no_type_check
 @njit(inline="always")
-def _corners(x, y, z, cells, dense, mask):  # type: ignore[no-untyped-def]
+def _corners(x, y, z, cells, dense, mask):
     """Table entries of the eight vertices of a cell; x runs fastest, then y, then z."""
     if dense:
         side = np.uint32(cells + 1)
@@ -51,8 +53,9 @@ def _corners(x, y, z, cells, dense, mask):  # type: ignore[no-untyped-def]
     )  # fmt: skip
 
 
+@no_type_check
 @njit(**PARALLEL)
-def _forward(positions, table, offsets, resolutions, dense, mask, threads, features):  # type: ignore[no-untyped-def]
+def _forward(positions, table, offsets, resolutions, dense, mask, threads, features):
     points = len(positions)
     share = (points + threads - 1) // threads
     for thread in prange(threads):
@@ -81,8 +84,9 @@ def _forward(positions, table, offsets, resolutions, dense, mask, threads, featu
                 )
 
 
+@no_type_check
 @njit(**PARALLEL)
-def _backward_table(positions, grad, offsets, resolutions, dense, mask, threads, table_grad):  # type: ignore[no-untyped-def]
+def _backward_table(positions, grad, offsets, resolutions, dense, mask, threads, table_grad):
     levels = len(grad) // 2
     for thread in prange(threads):
         for level in range(thread, levels, threads):
@@ -105,8 +109,9 @@ def _backward_table(positions, grad, offsets, resolutions, dense, mask, threads,
                     entries[i, 1] += w * v
 
 
+@no_type_check
 @njit(**PARALLEL)
-def _backward_positions(positions, table, grad, offsets, resolutions, dense, mask, position_grad):  # type: ignore[no-untyped-def]
+def _backward_positions(positions, table, grad, offsets, resolutions, dense, mask, position_grad):
     levels = len(grad) // 2
     for p in prange(len(positions)):
         dx, dy, dz = np.float32(0), np.float32(0), np.float32(0)

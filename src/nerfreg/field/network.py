@@ -25,7 +25,7 @@ class Network(nn.Module):
         self.layers = nn.ModuleList(layers)
 
     def forward(
-        self, x: Float[Tensor, "points in"], scale: Float[Tensor, " in"] | None = None, plain: bool = False
+        self, x: Float[Tensor, "points in"], scale: Float[Tensor, " all"] | None = None, plain: bool = False
     ) -> Float[Tensor, "points out"]:
         """(P, in) to (P, out).
 
@@ -38,11 +38,13 @@ class Network(nn.Module):
         weights = list(affine)
         first = weights[0][:, : x.shape[1]]
         weights[0] = first if scale is None else first * scale[: x.shape[1]]
-        activations = tuple(layer.activation for layer in self.layers)  # type: ignore[union-attr]
+        activations = tuple(layer.activation for layer in self.layers)
         return _FusedNetwork.apply(x, activations, *weights)
 
     def _affine(self) -> list[Any] | None:
-        """Weight and bias of every layer in turn, or None if some layer is not affine at the moment."""
+        """Weight and bias of every layer in turn; None if a layer is not affine now, or the last has an activation."""
+        if getattr(self.layers[-1], "activation", "none") != "none":
+            return None
         parts: list[Any] = []
         for layer in self.layers:
             effective = layer.effective() if isinstance(layer, AffineLayer) else None
@@ -113,7 +115,7 @@ class _FusedNetwork(torch.autograd.Function):
         totals = [None if p is None else torch.zeros_like(p) for p in rest[: 2 * count]]
         for sums in shares:
             for total, part in zip(totals, sums, strict=True):
-                if total is not None:
+                if total is not None and part is not None:
                     total += part
         return x_grad, None, *totals
 

@@ -26,6 +26,8 @@ class RadianceField(nn.Module):
     Density is per world unit, but learned in units of half the box, so that a scene may have any scale.
     """
 
+    center: Tensor
+
     def __init__(self, config: FieldConfig, box: Float[Tensor, "2 3"], make_layer: LayerFactory) -> None:
         super().__init__()
         layout = GridLayout(config.levels, config.base, config.finest, config.log2_entries)

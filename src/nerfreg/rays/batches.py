@@ -35,7 +35,9 @@ class RayBatches:
     def draw(self, needs: Needs) -> Rays:
         """The rays of one step: pixels, then patches, then extra neighbours, then unseen views."""
         side = max(needs.patch_size, 2 if needs.neighbors == "patch" else 0)
-        patches = round(self.count * needs.patch_fraction / side**2) if side else 0
+        patches = max(1, int(self.count * needs.patch_fraction / side**2)) if side else 0
+        if patches * side**2 > self.count:
+            raise NerfregError(f"train.rays={self.count}: too few for a patch of {side} x {side} pixels")
         singles = self.count - patches * side**2
         image, pixel = self._random_pixels(singles)
         neighbors: list[Tensor] = []
@@ -119,13 +121,15 @@ class RayBatches:
     def _unseen_rays(self, count: int) -> tuple[Float[Tensor, "rays 3"], Float[Tensor, "rays 3"]]:
         """Rays through random pixels of cameras at random places between two training cameras, one camera a ray."""
         cameras, cpu = self.scene.cameras, self.generator
-        chosen = torch.randint(len(self.views), (2, count), generator=cpu)
-        first, second = cameras.poses[self.views[chosen]]
+        views = len(self.views)
+        chosen = torch.randint(views, (count,), generator=cpu)
+        other = (chosen + 1 + torch.randint(max(views - 1, 1), (count,), generator=cpu)) % views
+        first, second = cameras.poses[self.views[chosen]], cameras.poses[self.views[other]]
         center = self.scene.box.mean(dim=0) if self.scene.layout == "orbit" else None
         poses = poses_between(first, second, torch.rand(count, generator=cpu), center)
         size = torch.tensor([cameras.width, cameras.height])
         pixel = (torch.rand(count, 2, generator=cpu) * size).long()
-        view = self.views[chosen[0]]
+        view = self.views[chosen]
         between = dataclasses.replace(
             cameras,
             poses=poses,
@@ -138,7 +142,5 @@ class RayBatches:
     def _to_device(self, rays: Rays) -> Rays:
         if self.device.type == "cpu":
             return rays
-        moved = {
-            name: value.to(self.device) for name, value in vars(rays).items() if isinstance(value, Tensor)
-        }
+        moved = {name: value.to(self.device) for name, value in vars(rays).items() if isinstance(value, Tensor)}
         return dataclasses.replace(rays, **moved)

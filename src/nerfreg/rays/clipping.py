@@ -14,7 +14,7 @@ def clip_to_box(
     near: float,
     far: float,
 ) -> tuple[Float[Tensor, " rays"], Float[Tensor, " rays"]]:
-    """Distances (R,) at which rays enter and leave the box, within [near, far]; both are equal for rays that miss it."""
+    """Distances (R,) at which rays enter and leave the box, within [near, far]; equal for rays that miss it."""
     tiny = torch.finfo(directions.dtype).tiny
     safe = torch.where(directions.abs() < tiny, torch.full_like(directions, tiny), directions)
     crossings = (box[:, None] - origins) / safe

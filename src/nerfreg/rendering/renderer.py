@@ -51,9 +51,7 @@ class Renderer:
         generator = step.generator if self.jitter else None
         near, far = self.hooks.ray_bounds(rays, step)
         near, far = _shared(near, rays.groups, "amin"), _shared(far, rays.groups, "amax")
-        coarse = _spread(
-            stratified(near, far, self.sampler.coarse, self.sampler.spacing, generator), rays.groups
-        )
+        coarse = _spread(stratified(near, far, self.sampler.coarse, self.sampler.spacing, generator), rays.groups)
         ray_near, ray_far = _spread(near, rays.groups), _spread(far, rays.groups)
         first = self._encode(rays, coarse, step)
         coarse_raw = self._raw(first)

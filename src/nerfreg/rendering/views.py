@@ -37,7 +37,8 @@ class View:
 class ViewRenderer(Renderer):
     """Renders images as training renders rays, without chance, without plugins, and without looking at empty space.
 
-    The samples are as many as in training; where the occupancy grid is empty the field is not evaluated and has density 0.
+    The samples are as many as in training; where the occupancy grid is empty the field is not evaluated and its
+    density is 0.
     """
 
     jitter = False

@@ -1,0 +1,184 @@
+"""`nerfreg VERB [overrides]`. A verb is a thin call into the package."""
+
+from __future__ import annotations
+
+import os
+import sys
+import traceback
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from difflib import get_close_matches
+from pathlib import Path
+
+from nerfreg import __version__
+from nerfreg.errors import NerfregError
+
+# Verbs import what they need when they run: torch takes seconds, and `nerfreg --help` must not wait for it.
+
+
+@dataclass(frozen=True)
+class Verb:
+    """usage: what follows the verb. help: one line. run: takes the arguments after the verb."""
+
+    usage: str
+    help: str
+    run: Callable[[list[str]], None]
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run one command line; returns the exit code."""
+    # Threads that wait must not spin: two pools, torch's and numba's, take turns on the same cores. OpenMP reads this
+    # when torch is imported.
+    os.environ.setdefault("OMP_WAIT_POLICY", "passive")
+    words = list(sys.argv[1:] if arguments is None else arguments)
+    debug = "--debug" in words
+    words = [word for word in words if word != "--debug"]
+    try:
+        _dispatch(words)
+    except NerfregError as error:
+        if debug:
+            traceback.print_exc()
+        print(f"nerfreg: error: {error}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        if debug:
+            traceback.print_exc()
+        print("nerfreg: interrupted", file=sys.stderr)
+        return 130
+    except BrokenPipeError:
+        # `nerfreg plugins | head`: nobody reads on, and the interpreter must not fail when it flushes.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 141
+    return 0
+
+
+def _dispatch(words: list[str]) -> None:
+    if not words or words[0] in ("-h", "--help", "help"):
+        print(_help())
+    elif words[0] == "--version":
+        print(f"nerfreg {__version__}")
+    elif words[0] in ("-sc", "--shell-completion"):
+        _complete(words)
+    elif words[0] not in VERBS:
+        close = get_close_matches(words[0], VERBS, n=1)
+        hint = f"did you mean '{close[0]}'?" if close else f"verbs: {', '.join(VERBS)}"
+        raise NerfregError(f"unknown verb '{words[0]}'; {hint}")
+    elif words[0] not in HYDRA_VERBS and {"-h", "--help"} & set(words):
+        print(_verb_help(words[0]))
+    else:
+        VERBS[words[0]].run(words[1:])
+
+
+def _help() -> str:
+    lines = [f"  {f'{name} {verb.usage}':<26}{verb.help}" for name, verb in VERBS.items()]
+    return "\n".join(
+        [
+            "usage: nerfreg VERB [overrides] [--debug]",
+            "",
+            "Few-shot NeRF regularization as plugins.",
+            "",
+            *lines,
+            "",
+            "  nerfreg train +reg=combinerf                     all of CombiNeRF, on a scene made here",
+            "  nerfreg train '+reg=[kl,lipschitz]' seed=1       a list of plugins",
+            "  nerfreg train -m '+reg=[kl],[kl,lipschitz]'      one run for each",
+            "  nerfreg train --help                             groups and keys",
+            "  nerfreg train --cfg job +reg=kl                  the configuration of a run, without running it",
+            '  eval "$(nerfreg -sc install=bash)"               shell completion',
+            "",
+            "  --version   --debug (show tracebacks)",
+        ]
+    )
+
+
+def _train(words: list[str]) -> None:
+    from nerfreg import launch
+
+    launch.launch(words, launch.train)
+
+
+def _scene(words: list[str]) -> None:
+    from nerfreg import launch
+
+    launch.launch(words, launch.show_scene)
+
+
+def _evaluate(words: list[str]) -> None:
+    run = _run_folder("evaluate", words)
+    from nerfreg.runs import evaluate_run
+
+    evaluate_run(run, words[1:])
+
+
+def _render(words: list[str]) -> None:
+    run = _run_folder("render", words)
+    from nerfreg.render_options import parse_render_options
+    from nerfreg.runs import render_run
+
+    options = parse_render_options(words[1:])
+    out = Path(options.out) if options.out else run / "renders"
+    render_run(run, options.path, out, frames=options.frames, fps=options.fps, format=options.format)
+
+
+def _cite(words: list[str]) -> None:
+    run = _run_folder("cite", words)
+    if words[1:]:
+        raise NerfregError(f"cite takes a run folder and nothing else, got '{words[1]}'")
+    from nerfreg.citations import cite
+
+    print(cite(run))
+
+
+def _plugins(words: list[str]) -> None:
+    if words:
+        raise NerfregError(f"plugins takes no argument, got '{words[0]}'")
+    from nerfreg.plugin_table import print_plugins
+
+    print_plugins()
+
+
+VERBS = {
+    "train": Verb("[overrides]", "train on a scene; Hydra overrides choose everything", _train),
+    "evaluate": Verb("RUN [overrides]", "score a run's checkpoint on the test views again", _evaluate),
+    "render": Verb("RUN [options]", "render test views, or a path to a video", _render),
+    "scene": Verb("[overrides]", "what is found in a scene's files, and a picture of its cameras", _scene),
+    "plugins": Verb("", "the installed regularizers", _plugins),
+    "cite": Verb("RUN", "BibTeX of everything that a run used", _cite),
+}
+HYDRA_VERBS = ("train", "scene")
+DETAILS = {
+    "evaluate": "Overrides change keys of the group eval, e.g. eval.lpips_weights=weights.safetensors.",
+    "render": "Options: path=test|spiral|orbit  frames=60  fps=30  format=mp4|gif  out=FOLDER (default RUN/renders)",
+}
+
+
+def _verb_help(name: str) -> str:
+    return "\n\n".join(
+        filter(None, (f"usage: nerfreg {name} {VERBS[name].usage}", VERBS[name].help, DETAILS.get(name)))
+    )
+
+
+def _run_folder(verb: str, words: list[str]) -> Path:
+    """The run that the first word names; anything that has been trained has `.hydra/config.yaml`."""
+    if not words:
+        raise NerfregError(f"{verb} needs the folder of a run: nerfreg {verb} RUN")
+    run = Path(words[0])
+    if not (run / ".hydra" / "config.yaml").is_file():
+        raise NerfregError(f"{run}: not the folder of a run (no .hydra/config.yaml in it)")
+    return run
+
+
+def _complete(words: list[str]) -> None:
+    """Complete verbs; hand everything else to Hydra, which knows nothing of verbs."""
+    if "query=bash" in words:
+        program, _, line = os.environ.get("COMP_LINE", "").lstrip().partition(" ")
+        verb, space, rest = line.lstrip().partition(" ")
+        if not space:
+            print(" ".join(name for name in VERBS if name.startswith(verb)))
+            return
+        if verb not in HYDRA_VERBS:
+            return
+        os.environ["COMP_LINE"] = f"{program} {rest}"
+    from nerfreg import launch
+
+    launch.launch(words, launch.train)

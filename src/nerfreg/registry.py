@@ -1,0 +1,249 @@
+"""Find plugins, refuse what cannot work together, and call the hooks of those that are selected.
+
+A plugin is an entry point of the group `nerfreg.plugins`. Nothing here knows any of them by name.
+"""
+
+from __future__ import annotations
+
+import inspect
+import math
+import tomllib
+from collections import Counter
+from dataclasses import dataclass
+from functools import cache
+from importlib.metadata import EntryPoint, PackageNotFoundError, distribution, entry_points
+from pathlib import Path
+
+import pluggy
+from torch import Tensor, nn
+
+from nerfreg.errors import NerfregError
+from nerfreg.hooks import PROJECT, HookSpecs, Needs, Rays, Regularizer, Rendering, Samples, Step, hookimpl
+from nerfreg.nearest import nearest
+
+GROUP = "nerfreg.plugins"
+HOOKS = tuple(name for name in vars(HookSpecs) if name.startswith("nerfreg_"))
+
+
+@dataclass(frozen=True)
+class PluginInfo:
+    """One entry point. `error` says why it cannot be used; `cls` is None then."""
+
+    name: str
+    package: str
+    version: str
+    cls: type[Regularizer] | None
+    error: str = ""
+
+    @property
+    def hook_points(self) -> tuple[str, ...]:
+        """The hooks that the plugin implements, without their prefix, in the order in which a step calls them."""
+        return tuple(hook.removeprefix("nerfreg_") for hook in _implemented(self.cls)) if self.cls else ()
+
+    @property
+    def summary(self) -> str:
+        """First line of the docstring."""
+        return inspect.cleandoc(self.cls.__doc__ or "").partition("\n")[0] if self.cls else ""
+
+    @property
+    def state(self) -> str:
+        return self.error or "ok"
+
+
+def installed() -> list[PluginInfo]:
+    """All plugins by name, the broken ones included, whose `error` tells what is wrong with them."""
+    found = [(point.name, point, *_source(point)) for point in _entry_points()]
+    claims = Counter(name for name, *_ in found)
+    plugins = []
+    for name, point, package, version in sorted(found, key=lambda item: (item[0], item[2])):
+        if claims[name] > 1:
+            packages = sorted(other for claimed, _, other, _ in found if claimed == name)
+            error = f"claimed by both {' and '.join(packages)}; uninstall one of them"
+            plugins.append(PluginInfo(name, package, version, None, error))
+            continue
+        try:
+            cls = point.load()
+            error = _mistake(cls)
+        except Exception as exception:  # a stranger's module may raise anything
+            cls, error = None, f"failed to import: {type(exception).__name__}: {exception}".partition("\n")[0]
+        plugins.append(PluginInfo(name, package, version, None if error else cls, error))
+    return plugins
+
+
+def _entry_points() -> list[EntryPoint]:
+    points = list(entry_points(group=GROUP))
+    try:
+        distribution(PROJECT)
+    except PackageNotFoundError:
+        # A source checkout on PYTHONPATH has no metadata yet; what it would register stands in its pyproject.toml.
+        points += _checkout_entry_points(Path(__file__).parents[2] / "pyproject.toml")
+    return points
+
+
+def _checkout_entry_points(pyproject: Path) -> list[EntryPoint]:
+    if not pyproject.is_file():
+        return []
+    project = tomllib.loads(pyproject.read_text(encoding="utf-8")).get("project", {})
+    if project.get("name") != PROJECT:
+        return []
+    declared = project.get("entry-points", {}).get(GROUP, {})
+    return [EntryPoint(name, value, GROUP) for name, value in declared.items()]
+
+
+def _source(point: EntryPoint) -> tuple[str, str]:
+    if point.dist is None:
+        from nerfreg import __version__
+
+        return PROJECT, __version__
+    return point.dist.name, point.dist.version
+
+
+def _implemented(cls: type[Regularizer]) -> tuple[str, ...]:
+    return tuple(hook for hook in HOOKS if hasattr(getattr(cls, hook, None), f"{PROJECT}_impl"))
+
+
+def _mistake(cls: object) -> str:
+    """What keeps the object behind an entry point from being a plugin, or nothing."""
+    if not (isinstance(cls, type) and issubclass(cls, Regularizer)):
+        return f"{cls!r} does not derive from nerfreg.Regularizer"
+    if "__dataclass_params__" not in vars(cls):
+        return f"class {cls.__name__} is not decorated with @dataclass"
+    for name in dir(cls):
+        is_hook = hasattr(getattr(cls, name, None), f"{PROJECT}_impl")
+        if (is_hook or name.startswith("nerfreg_")) and name not in HOOKS:
+            return f"{cls.__name__}.{name} is not a hook; {nearest(name, HOOKS)}"
+        if name in HOOKS and not is_hook:
+            return f"{cls.__name__}.{name} is not decorated with @hookimpl"
+    return ""
+
+
+@dataclass(frozen=True)
+class Term:
+    """One term of the loss: `weight * value` is added to it."""
+
+    plugin: str
+    name: str
+    weight: float
+    value: Tensor
+
+
+class CoreDefaults:
+    """What happens at each hook point when no plugin is there."""
+
+    @hookimpl(trylast=True)
+    def nerfreg_layer(self, in_features: int, out_features: int, activation: str) -> nn.Module:
+        # The field is built through this registry, hence not imported at the top.
+        from nerfreg.field.layers import Linear
+
+        return Linear(in_features, out_features, activation)
+
+    @hookimpl(trylast=True)
+    def nerfreg_ray_bounds(self, rays: Rays) -> tuple[Tensor, Tensor]:
+        return rays.near, rays.far
+
+    @hookimpl(trylast=True)
+    def nerfreg_encoder_input(self, samples: Samples) -> Samples:
+        return samples
+
+
+class Hooks:
+    """The hooks of one run. Plugins are called in the order of `plugins`; a later wrapper goes around an earlier one.
+
+    A plugin of weight 0 is left out altogether, and one outside its window [start, end) is not called.
+
+    Raises NerfregError for weights, windows and combinations that cannot work.
+    """
+
+    def __init__(self, plugins: dict[str, Regularizer] | None = None) -> None:
+        self.plugins = dict(plugins or {})
+        for name, plugin in self.plugins.items():
+            _check(name, plugin, self.plugins)
+        used = {name: plugin for name, plugin in self.plugins.items() if plugin.weight != 0}
+        self._users = {
+            hook: tuple(name for name, plugin in used.items() if hook in _implemented(type(plugin))) for hook in HOOKS
+        }
+        self._core = CoreDefaults()
+        self._manager = cache(self._make_manager)
+        self._manager(tuple(used))
+
+    def needs(self, step: Step) -> Needs:
+        """The union of what the active plugins want rendered."""
+        union = Needs()
+        if active := self._active("nerfreg_needs", step):
+            for needs in self._manager(active).hook.nerfreg_needs(step=step):
+                union |= needs
+        return union
+
+    def layer(self, network: str, index: int, in_features: int, out_features: int, activation: str) -> nn.Module:
+        """One layer of a network, made by whichever selected plugin makes layers, whatever its window."""
+        users = self._users["nerfreg_layer"]
+        if not users:
+            return self._core.nerfreg_layer(in_features, out_features, activation)
+        layer: nn.Module = self._manager(users).hook.nerfreg_layer(
+            network=network, index=index, in_features=in_features, out_features=out_features, activation=activation
+        )
+        return layer
+
+    def ray_bounds(self, rays: Rays, step: Step) -> tuple[Tensor, Tensor]:
+        """Near and far of each ray, (R,) each."""
+        active = self._active("nerfreg_ray_bounds", step)
+        if not active:
+            return rays.near, rays.far
+        bounds: tuple[Tensor, Tensor] = self._manager(active).hook.nerfreg_ray_bounds(rays=rays, step=step)
+        return bounds
+
+    def encoder_input(self, samples: Samples, step: Step) -> Samples:
+        """What the encoders shall see instead of `samples`."""
+        active = self._active("nerfreg_encoder_input", step)
+        if not active:
+            return samples
+        changed: Samples = self._manager(active).hook.nerfreg_encoder_input(samples=samples, step=step)
+        return changed
+
+    def losses(self, rendering: Rendering, step: Step) -> list[Term]:
+        """All terms of the active plugins, unweighted, with the weight that belongs to each."""
+        terms = []
+        for name in self._active("nerfreg_loss", step):
+            # One plugin at a time, because the answer does not say whose it is.
+            for values in self._manager((name,)).hook.nerfreg_loss(rendering=rendering, step=step):
+                for term, value in values.items():
+                    if value.ndim != 0:
+                        shape = tuple(value.shape)
+                        raise NerfregError(f"plugin {name}: term '{term}' has shape {shape}, return scalars")
+                    terms.append(Term(name, term, float(self.plugins[name].weight), value))
+        return terms
+
+    def _active(self, hook: str, step: Step) -> tuple[str, ...]:
+        users = self._users[hook]
+        return tuple(name for name in users if self.plugins[name].active(step)) if users else ()
+
+    def _make_manager(self, names: tuple[str, ...]) -> pluggy.PluginManager:
+        # One manager for each set of active plugins: pluggy's own subset caller wants hashable plugins, and
+        # dataclasses are not.
+        manager = pluggy.PluginManager(PROJECT)
+        manager.add_hookspecs(HookSpecs)
+        manager.register(self._core, "core")
+        for name in names:
+            try:
+                manager.register(self.plugins[name], name)
+            except (pluggy.PluginValidationError, ValueError) as error:
+                raise NerfregError(f"plugin {name}: {error}".replace("\n", " ")) from error
+        return manager
+
+
+def _check(name: str, plugin: Regularizer, plugins: dict[str, Regularizer]) -> None:
+    if not isinstance(plugin, Regularizer):
+        raise NerfregError(f"reg.{name}: not a selected plugin; select it by +reg={name}")
+    if not (math.isfinite(plugin.weight) and plugin.weight >= 0):
+        raise NerfregError(f"reg.{name}.weight={plugin.weight}: must be finite and not negative")
+    for key in ("start", "end"):
+        value = getattr(plugin, key)
+        if value < 0 or (isinstance(value, float) and not value <= 1):
+            raise NerfregError(
+                f"reg.{name}.{key}={value}: must be a step (an integer from 0) or a fraction of the budget (0.0 to 1.0)"
+            )
+    if type(plugin.start) is type(plugin.end) and plugin.start >= plugin.end:
+        raise NerfregError(f"reg.{name}.start={plugin.start}: must be before reg.{name}.end={plugin.end}")
+    for other in plugin.conflicts:
+        if other in plugins:
+            raise NerfregError(f"reg={name} cannot be combined with reg={other}; drop one of the two")

@@ -1,0 +1,131 @@
+"""The fused network against plain autograd, and the layer factory's contract."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+from torch import Tensor, nn
+
+from nerfreg.field.layers import AffineLayer, Linear
+from nerfreg.field.network import CHUNK, Network
+
+
+class WithBias(AffineLayer):
+    """An affine layer whose effective weight is made of something else."""
+
+    def __init__(self, inputs: int, outputs: int, activation: str) -> None:
+        super().__init__(activation)
+        self.raw = nn.Parameter(torch.randn(outputs, inputs))
+        self.shift = nn.Parameter(torch.randn(outputs))
+
+    def effective(self) -> tuple[Tensor, Tensor]:
+        return self.raw / self.raw.abs().sum(dim=1, keepdim=True), self.shift
+
+
+class Stranger(nn.Module):
+    """A layer that is not affine."""
+
+    def __init__(self, inputs: int, outputs: int) -> None:
+        super().__init__()
+        self.inner = nn.Linear(inputs, outputs)
+
+    def forward(self, x: Tensor) -> Tensor:
+        return torch.sin(self.inner(x))
+
+
+NETWORKS = {
+    "relu": lambda: [Linear(6, 16, "relu"), Linear(16, 16, "relu"), Linear(16, 3)],
+    "gelu": lambda: [WithBias(6, 16, "gelu"), WithBias(16, 16, "gelu"), WithBias(16, 3, "none")],
+    "one layer": lambda: [Linear(6, 3)],
+    "mixed": lambda: [WithBias(6, 16, "relu"), Linear(16, 3, "none")],
+    "gelu at the end": lambda: [Linear(6, 3, "gelu")],
+}
+
+
+@pytest.mark.parametrize("name", [name for name in NETWORKS if name != "gelu at the end"])
+@pytest.mark.parametrize("points", [0, 1, CHUNK, 2 * CHUNK + 7])
+def test_fused_equals_plain_forward_and_backward(name: str, points: int) -> None:
+    torch.manual_seed(0)
+    network = Network(NETWORKS[name]())
+    x = torch.randn(points, 6)
+    upstream = torch.randn(points, 3)
+    results = []
+    for plain in (True, False):
+        network.zero_grad(set_to_none=True)
+        inputs = x.clone().requires_grad_()
+        out = network(inputs, plain=plain)
+        out.backward(upstream)
+        results.append([out.detach(), inputs.grad, *(p.grad for p in network.parameters())])
+    for plain_value, fused_value in zip(*results, strict=True):
+        scale = float(plain_value.abs().max()) if plain_value.numel() else 0.0
+        torch.testing.assert_close(fused_value, plain_value, rtol=1e-4, atol=1e-5 * scale)
+
+
+def test_gradients_match_finite_differences() -> None:
+    torch.manual_seed(0)
+    for make in ("relu", "gelu"):
+        network = Network(NETWORKS[make]()).double()
+        x = torch.randn(4, 6, dtype=torch.float64, requires_grad=True)
+        assert torch.autograd.gradcheck(lambda v, n=network: n(v), (x,))
+
+
+def test_the_result_without_gradient_is_the_same() -> None:
+    network = Network(NETWORKS["gelu"]())
+    x = torch.randn(CHUNK + 5, 6)
+    with torch.no_grad():
+        kept_nothing = network(x)
+    torch.testing.assert_close(kept_nothing, network(x).detach(), rtol=0, atol=0)
+
+
+def test_missing_and_scaled_inputs_are_zeros_and_factors() -> None:
+    torch.manual_seed(0)
+    network = Network(NETWORKS["relu"]())
+    x, scale = torch.randn(10, 4), torch.tensor([1.0, 1.0, 1.0, 0.5, 0.0, 0.0])
+    whole = torch.cat([x * scale[:4], torch.zeros(10, 2)], dim=1)
+    torch.testing.assert_close(network(x, scale), network(whole))
+    torch.testing.assert_close(network(x, scale, plain=True), network(whole))
+
+
+def test_no_input_features_at_all() -> None:
+    network = Network(NETWORKS["relu"]())
+    out = network(torch.empty(5, 0), torch.zeros(6))
+    assert torch.equal(out, torch.zeros(5, 3))  # no bias: zero in, zero out
+    out.sum().backward()
+
+
+def test_a_layer_that_is_not_affine_runs_through_autograd() -> None:
+    torch.manual_seed(0)
+    stranger = Stranger(16, 3)
+    network = Network([Linear(6, 16, "relu"), stranger])
+    x = torch.randn(7, 6)
+    expected = torch.sin(torch.relu(x @ network.layers[0].weight.T) @ stranger.inner.weight.T + stranger.inner.bias)
+    torch.testing.assert_close(network(x), expected)
+    network(x).sum().backward()
+    assert stranger.inner.weight.grad is not None
+
+
+def test_a_layer_may_be_affine_only_at_times() -> None:
+    class Sometimes(Linear):
+        shift: Tensor | None = None
+
+        def effective(self) -> tuple[Tensor, None] | None:
+            return None if self.shift is not None else super().effective()
+
+        def forward(self, x: Tensor) -> Tensor:
+            assert self.shift is not None
+            return x @ self.weight.T + self.shift
+
+    layer = Sometimes(6, 3)
+    network, x = Network([layer]), torch.randn(5, 6)
+    before = network(x)
+    layer.shift = torch.ones(5, 3)
+    torch.testing.assert_close(network(x), before + 1)
+
+
+def test_gelu_after_the_last_layer_is_fused_too() -> None:
+    torch.manual_seed(0)
+    network = Network(NETWORKS["gelu at the end"]())
+    x = torch.randn(9, 6, requires_grad=True)
+    torch.testing.assert_close(network(x), network(x, plain=True))
+    gradients = [torch.autograd.grad(network(x, plain=plain).sum(), x)[0] for plain in (True, False)]
+    torch.testing.assert_close(gradients[1], gradients[0])

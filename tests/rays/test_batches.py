@@ -1,0 +1,137 @@
+"""What is in a batch, for every kind of need."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import pytest
+import torch
+
+from nerfreg.errors import NerfregError
+from nerfreg.hooks import Needs, Rays
+from nerfreg.rays import RayBatches
+from nerfreg.scenes import Procedural, Scene
+
+
+@pytest.fixture(scope="module")
+def orbit() -> Scene:
+    return Procedural(size=32, views=3, test_views=1).load()
+
+
+@pytest.fixture(scope="module")
+def forward() -> Scene:
+    return Procedural(size=32, views=3, test_views=1, layout="forward").load()
+
+
+def draw(scene: Scene, needs: Needs, count: int = 64) -> Rays:
+    batches = RayBatches(scene, count, torch.device("cpu"), torch.Generator().manual_seed(0))
+    return batches.draw(needs)
+
+
+def pixels_of(scene: Scene, rays: Rays) -> tuple[torch.Tensor, torch.Tensor]:
+    """View and pixel of each ray, by projecting a point of the ray into the view that it starts from."""
+    distances = (rays.origins[:, None] - scene.cameras.poses[list(scene.train), :, 3]).norm(dim=-1)
+    views = torch.tensor(scene.train)[distances.argmin(dim=1)]
+    points = rays.origins + rays.directions
+    pixels = torch.stack([scene.cameras.project(p[None], int(v))[0] for p, v in zip(points, views, strict=True)])
+    return views, pixels
+
+
+def test_needing_nothing_renders_nothing_more(orbit: Scene) -> None:
+    rays = draw(orbit, Needs())
+    assert len(rays) == len(rays.targets) == 64
+    assert rays.patches is rays.neighbors is rays.unseen is rays.groups is None
+    assert (rays.far > rays.near).all()
+
+
+def test_targets_are_the_pixels_of_the_photographs(forward: Scene) -> None:
+    rays = draw(forward, Needs(patch_size=4, patch_fraction=0.5))
+    assert rays.background is None
+    views, pixels = pixels_of(forward, rays)
+    for target, view, pixel in zip(rays.targets, views.tolist(), pixels.floor().long().tolist(), strict=True):
+        assert torch.equal(target, forward.read_image(view)[pixel[1], pixel[0]])
+
+
+def test_alpha_is_put_on_the_background_of_the_ray(orbit: Scene) -> None:
+    rays = draw(orbit, Needs())
+    assert rays.background is not None
+    views, pixels = pixels_of(orbit, rays)
+    for i, (view, pixel) in enumerate(zip(views.tolist(), pixels.floor().long().tolist(), strict=True)):
+        value = orbit.read_image(view)[pixel[1], pixel[0]]
+        expected = value[:3] * value[3] + rays.background[i] * (1 - value[3])
+        torch.testing.assert_close(rays.targets[i], expected)
+    assert rays.background.std() > 0.2
+
+
+def test_patches_are_squares_of_adjacent_pixels_of_one_view(orbit: Scene) -> None:
+    rays = draw(orbit, Needs(patch_size=4, patch_fraction=0.5))
+    assert rays.patches is not None and rays.patches.shape == (2, 4, 4) and len(rays) == 64
+    views, pixels = pixels_of(orbit, rays)
+    for patch in rays.patches:
+        assert len(views[patch.flatten()].unique()) == 1
+        offsets = pixels[patch] - pixels[patch[0, 0]]
+        y, x = torch.meshgrid(torch.arange(4.0), torch.arange(4.0), indexing="ij")
+        torch.testing.assert_close(offsets, torch.stack([x, y], dim=-1), rtol=0, atol=1e-2)
+
+
+@pytest.mark.parametrize(
+    "needs",
+    [
+        Needs(patch_size=4, patch_fraction=0.5, neighbors="patch"),
+        Needs(patch_fraction=0.25, neighbors="patch"),
+        Needs(neighbors="extra"),
+        Needs(patch_size=4, patch_fraction=0.5, neighbors="extra"),
+    ],
+)
+def test_neighbours_are_adjacent_and_share_their_group(orbit: Scene, needs: Needs) -> None:
+    rays = draw(orbit, needs)
+    assert rays.neighbors is not None and rays.groups is not None
+    _, pixels = pixels_of(orbit, rays)
+    first, second = rays.neighbors.unbind(dim=1)
+    torch.testing.assert_close((pixels[first] - pixels[second]).norm(dim=-1), torch.ones(len(first)), atol=1e-2, rtol=0)
+    assert torch.equal(rays.groups[first], rays.groups[second])
+    # groups are numbered without gaps, and a patch is one group
+    assert torch.equal(rays.groups.unique(), torch.arange(int(rays.groups.max()) + 1))
+    if rays.patches is not None:
+        assert (rays.groups[rays.patches].flatten(1).float().std(dim=1, correction=0) == 0).all()
+
+
+def test_neighbours_in_patches_cost_no_ray_and_extra_ones_do(orbit: Scene) -> None:
+    assert len(draw(orbit, Needs(patch_size=4, patch_fraction=0.5, neighbors="patch"))) == 64
+    extra = draw(orbit, Needs(patch_size=4, patch_fraction=0.5, neighbors="extra"))
+    assert len(extra) == 64 + 32 and len(extra.targets) == 64
+
+
+@pytest.mark.parametrize("layout", ["orbit", "forward"])
+def test_unseen_rays_start_between_the_cameras(layout: str, request: pytest.FixtureRequest) -> None:
+    scene = request.getfixturevalue(layout)
+    rays = draw(scene, Needs(unseen_rays=0.5))
+    assert rays.unseen is not None
+    assert torch.equal(rays.unseen, torch.arange(64, 96)) and len(rays.targets) == 64
+    positions = scene.cameras.poses[list(scene.train), :, 3]
+    start = rays.origins[rays.unseen]
+    assert (start[:, None] - positions).norm(dim=-1).min() > 0
+    if layout == "orbit":
+        center = scene.box.mean(dim=0)
+        radii = (positions - center).norm(dim=-1)
+        distance = (start - center).norm(dim=-1)
+        assert (distance > radii.min() - 1e-3).all() and (distance < radii.max() + 1e-3).all()
+    else:
+        assert (start >= positions.amin(dim=0) - 1e-4).all() and (start <= positions.amax(dim=0) + 1e-4).all()
+
+
+def test_the_same_seed_draws_the_same_batch(orbit: Scene) -> None:
+    needs = Needs(patch_size=4, patch_fraction=0.5, neighbors="patch", unseen_rays=0.1)
+    first, second = draw(orbit, needs), draw(orbit, needs)
+    assert torch.equal(first.origins, second.origins) and torch.equal(first.targets, second.targets)
+
+
+def test_a_box_that_no_ray_meets_is_refused(orbit: Scene) -> None:
+    away = dataclasses.replace(orbit, box=orbit.box + 1000.0)
+    with pytest.raises(NerfregError, match=r"no ray of a training view meets scene.box"):
+        RayBatches(away, 8, torch.device("cpu"), torch.Generator())
+
+
+def test_patches_larger_than_the_images_are_refused(orbit: Scene) -> None:
+    with pytest.raises(NerfregError, match=r"patch_size 33 is larger than the images"):
+        draw(orbit, Needs(patch_size=33, patch_fraction=1.0), 2000)

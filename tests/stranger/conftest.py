@@ -1,0 +1,37 @@
+"""Packages of strangers, installed for real."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from hydra.core.config_store import ConfigStore
+
+PACKAGES = Path(__file__).parent / "packages"
+
+
+def install(target: Path, *names: str) -> Path:
+    command = [sys.executable, "-m", "pip", "install", "--quiet", "--disable-pip-version-check"]
+    options = ["--no-deps", "--no-build-isolation", "--no-index", "--target", str(target)]
+    subprocess.run([*command, *options, *(str(PACKAGES / name) for name in names)], check=True)
+    return target
+
+
+@pytest.fixture(scope="session")
+def good_packages(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return install(tmp_path_factory.mktemp("good"), "binary", "presets")
+
+
+@pytest.fixture(scope="session")
+def bad_packages(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return install(tmp_path_factory.mktemp("bad"), "broken", "twin_a", "twin_b")
+
+
+@pytest.fixture(autouse=True)
+def forget_strangers() -> Iterator[None]:
+    """What a test registers must not be known to the next."""
+    yield
+    ConfigStore.instance().repo.pop("reg", None)

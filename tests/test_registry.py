@@ -1,0 +1,253 @@
+"""Calling the selected plugins: order, windows, weights, conflicts, and nothing at all."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from importlib.metadata import EntryPoint
+from pathlib import Path
+from typing import ClassVar
+
+import pytest
+import torch
+from torch import nn
+
+from nerfreg import Needs, NerfregError, Regularizer, hookimpl, registry
+from nerfreg.field.layers import Linear
+from nerfreg.hooks import Samples
+from nerfreg.registry import Hooks, installed
+
+
+@dataclass
+class Constant(Regularizer):
+    """A loss term of 3, on patches of side 4."""
+
+    calls: list[int] = field(default_factory=list)
+
+    @hookimpl
+    def nerfreg_needs(self) -> Needs:
+        return Needs(patch_size=4)
+
+    @hookimpl
+    def nerfreg_loss(self, step) -> dict[str, torch.Tensor]:
+        self.calls.append(step.index)
+        return {"constant": torch.tensor(3.0)}
+
+
+@dataclass
+class Affine(Regularizer):
+    """far becomes factor * far + offset."""
+
+    factor: float = 1.0
+    offset: float = 0.0
+
+    @hookimpl(wrapper=True)
+    def nerfreg_ray_bounds(self):
+        near, far = yield
+        return near, far * self.factor + self.offset
+
+
+@dataclass
+class Layers(Regularizer):
+    """Identity layers in the network `network`."""
+
+    network: str = "density"
+
+    @hookimpl
+    def nerfreg_layer(self, network):
+        return nn.Identity() if network == self.network else None
+
+
+@dataclass
+class Wrapped(Regularizer):
+    """Puts every layer into a sequence."""
+
+    @hookimpl(wrapper=True)
+    def nerfreg_layer(self):
+        layer = yield
+        return nn.Sequential(layer)
+
+
+@dataclass
+class Loner(Regularizer):
+    """Gets along with nobody called constant."""
+
+    conflicts: ClassVar[tuple[str, ...]] = ("constant",)
+
+
+def test_nothing_selected_never_enters_pluggy(rays, rendering, step, monkeypatch: pytest.MonkeyPatch) -> None:
+    hooks = Hooks()
+
+    def fail(*_: object, **__: object) -> None:
+        raise AssertionError("a plugin manager was asked for")
+
+    monkeypatch.setattr(hooks, "_manager", fail)
+    samples = Samples(torch.zeros(2, 1, 3), rays.directions, torch.zeros(2, 1))
+    assert hooks.needs(step(index=0)) == Needs()
+    assert hooks.ray_bounds(rays, step(index=0)) == (rays.near, rays.far)
+    assert hooks.encoder_input(samples, step(index=0)) is samples
+    assert hooks.losses(rendering(opacity=torch.ones(1)), step(index=0)) == []
+    layer = hooks.layer("density", 0, 3, 4, "relu")
+    assert isinstance(layer, Linear)
+    assert (layer.weight.shape, layer.activation) == ((4, 3), "relu")
+
+
+def test_terms_carry_plugin_name_and_weight(rendering, step) -> None:
+    hooks = Hooks({"one": Constant(weight=0.5), "two": Constant(weight=2.0)})
+    terms = hooks.losses(rendering(opacity=torch.ones(1)), step(index=0))
+    assert [(t.plugin, t.name, t.weight, t.value.item()) for t in terms] == [
+        ("one", "constant", 0.5, 3.0),
+        ("two", "constant", 2.0, 3.0),
+    ]
+
+
+def test_weight_zero_is_never_called_nor_rendered_for(rendering, step) -> None:
+    off = Constant(weight=0.0)
+    hooks = Hooks({"off": off})
+    assert hooks.losses(rendering(opacity=torch.ones(1)), step(index=0)) == []
+    assert hooks.needs(step(index=0)) == Needs()
+    assert off.calls == []
+
+
+def test_window_opens_and_closes(rendering, step) -> None:
+    early, late = Constant(end=2), Constant(start=0.02)
+    hooks = Hooks({"early": early, "late": late})
+    for index in range(4):
+        hooks.losses(rendering(opacity=torch.ones(1)), step(index=index))
+    assert (early.calls, late.calls) == ([0, 1], [2, 3])
+
+
+def test_needs_are_those_of_the_active(step) -> None:
+    hooks = Hooks({"late": Constant(start=50)})
+    assert hooks.needs(step(index=49)) == Needs()
+    assert hooks.needs(step(index=50)) == Needs(patch_size=4)
+
+
+def test_later_wrapper_goes_around_the_earlier(rays, step) -> None:
+    # far = 3: first doubled, then one added, or the other way round
+    hooks = Hooks({"double": Affine(factor=2.0), "add": Affine(offset=1.0)})
+    assert hooks.ray_bounds(rays, step(index=0))[1].tolist() == [7.0, 7.0]
+    hooks = Hooks({"add": Affine(offset=1.0), "double": Affine(factor=2.0)})
+    assert hooks.ray_bounds(rays, step(index=0))[1].tolist() == [8.0, 8.0]
+
+
+def test_wrapper_outside_its_window_is_skipped(rays, step) -> None:
+    hooks = Hooks({"double": Affine(factor=2.0, end=1), "add": Affine(offset=1.0)})
+    assert hooks.ray_bounds(rays, step(index=0))[1].tolist() == [7.0, 7.0]
+    assert hooks.ray_bounds(rays, step(index=1))[1].tolist() == [4.0, 4.0]
+
+
+def test_layers_are_replaced_and_wrapped_whatever_the_window() -> None:
+    hooks = Hooks({"layers": Layers(start=50), "wrapped": Wrapped()})
+    replaced, own = hooks.layer("density", 0, 2, 2, "relu"), hooks.layer("color", 0, 2, 2, "relu")
+    assert isinstance(replaced, nn.Sequential) and isinstance(replaced[0], nn.Identity)
+    assert isinstance(own, nn.Sequential) and isinstance(own[0], Linear)
+
+
+def test_term_that_is_no_scalar_is_refused(rendering, step) -> None:
+    @dataclass
+    class Forgot(Regularizer):
+        @hookimpl
+        def nerfreg_loss(self, rendering):
+            return {"forgot": rendering.opacity}
+
+    with pytest.raises(NerfregError, match=r"plugin forgot: term 'forgot' has shape \(2,\)"):
+        Hooks({"forgot": Forgot()}).losses(rendering(opacity=torch.ones(2)), step(index=0))
+
+
+@pytest.mark.parametrize(
+    ("plugin", "message"),
+    [
+        (Constant(weight=-1.0), r"reg.x.weight=-1.0: must be finite and not negative"),
+        (Constant(weight=float("nan")), r"reg.x.weight=nan"),
+        (Constant(weight=float("inf")), r"reg.x.weight=inf"),
+        (Constant(start=-1), r"reg.x.start=-1: must be a step"),
+        (Constant(end=1.5), r"reg.x.end=1.5: must be a step"),
+        (Constant(start=float("nan")), r"reg.x.start=nan"),
+        (Constant(start=0.5, end=0.5), r"reg.x.start=0.5: must be before reg.x.end=0.5"),
+        (Constant(start=9, end=3), r"reg.x.start=9: must be before"),
+    ],
+)
+def test_weights_and_windows_that_cannot_work(plugin: Regularizer, message: str) -> None:
+    with pytest.raises(NerfregError, match=message):
+        Hooks({"x": plugin})
+
+
+def test_conflict_names_both_in_either_order() -> None:
+    plugins: dict[str, Regularizer] = {"loner": Loner(), "constant": Constant()}
+    for order in (plugins, dict(reversed(plugins.items()))):
+        with pytest.raises(NerfregError, match="reg=loner cannot be combined with reg=constant"):
+            Hooks(order)
+
+
+def test_argument_that_the_core_does_not_pass_is_refused() -> None:
+    @dataclass
+    class Greedy(Regularizer):
+        @hookimpl
+        def nerfreg_loss(self, rendering, images):
+            return {}
+
+    with pytest.raises(NerfregError, match=r"plugin greedy: .*images"):
+        Hooks({"greedy": Greedy()})
+
+
+@dataclass
+class Misspelt(Regularizer):
+    @hookimpl
+    def nerfreg_los(self):
+        return {}
+
+
+@dataclass
+class Unmarked(Regularizer):
+    def nerfreg_loss(self):
+        return {}
+
+
+class Undecorated(Regularizer):
+    extra: int = 3
+
+
+@pytest.mark.parametrize(
+    ("name", "error"),
+    [
+        ("Misspelt", "Misspelt.nerfreg_los is not a hook; did you mean 'nerfreg_loss'?"),
+        ("Unmarked", "Unmarked.nerfreg_loss is not decorated with @hookimpl"),
+        ("Undecorated", "class Undecorated is not decorated with @dataclass"),
+        ("replace", "does not derive from nerfreg.Regularizer"),
+        ("Missing", "failed to import: AttributeError"),
+    ],
+)
+def test_mistakes_of_an_author_are_told(name: str, error: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    point = EntryPoint("wrong", f"{__name__}:{name}", registry.GROUP)
+    monkeypatch.setattr(registry, "_entry_points", lambda: [point])
+    [plugin] = installed()
+    assert plugin.cls is None
+    assert error in plugin.state
+
+
+def test_hook_points_and_summary(monkeypatch: pytest.MonkeyPatch) -> None:
+    point = EntryPoint("constant", f"{__name__}:Constant", registry.GROUP)
+    monkeypatch.setattr(registry, "_entry_points", lambda: [point])
+    [plugin] = installed()
+    assert plugin.hook_points == ("needs", "loss")
+    assert plugin.summary == "A loss term of 3, on patches of side 4."
+    assert replace(plugin, cls=None, error="gone").state == "gone"
+
+
+def test_source_checkout_reads_its_own_pyproject(tmp_path: Path) -> None:
+    pyproject = tmp_path / "pyproject.toml"
+    assert registry._checkout_entry_points(pyproject) == []
+    pyproject.write_text('[project]\nname = "other"\n[project.entry-points."nerfreg.plugins"]\nx = "y:Z"\n')
+    assert registry._checkout_entry_points(pyproject) == []
+    pyproject.write_text('[project]\nname = "nerfreg"\n[project.entry-points."nerfreg.plugins"]\nx = "y:Z"\n')
+    assert registry._checkout_entry_points(pyproject) == [EntryPoint("x", "y:Z", registry.GROUP)]
+
+
+def test_ours_are_all_installed() -> None:
+    ours = {plugin.name: plugin for plugin in installed() if plugin.package == "nerfreg"}
+    expected = (
+        "adversarial annealing depth_smoothness distortion encoding_mask entropy full_geometry kl lipschitz occlusion"
+    )
+    assert sorted(ours) == expected.split()
+    assert {plugin.state for plugin in ours.values()} == {"ok"}
+    assert all(plugin.summary and plugin.hook_points for plugin in ours.values())

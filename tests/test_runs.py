@@ -1,0 +1,66 @@
+"""A run from the command line's point of view: what it leaves, and what can be done with it afterwards."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import imageio.v3 as iio
+import pytest
+
+from nerfreg.cli import main
+
+SMALL = [
+    "scene.size=32", "scene.views=3", "scene.test_views=2", "field.levels=4", "field.finest=64", "sampler.coarse=16",
+    "sampler.fine=16", "field.log2_entries=12", "train.rays=128", "train.steps=20", "train.quiet=true", "eval.count=3",
+]  # fmt: skip
+
+
+@pytest.fixture
+def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    assert main(["train", "+reg=[distortion,lipschitz]", *SMALL, "hydra.run.dir=run"]) == 0
+    return tmp_path / "run"
+
+
+def test_a_run_leaves_what_the_design_lists(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    results = json.loads((run / "results.json").read_text())
+    wanted = {
+        "psnr", "ssim", "lpips", "average", "depth_rmse", "step", "train_seconds", "points_per_second",
+        "peak_memory_mb", "seed", "regularizers", "views", "scene", "versions",
+    }  # fmt: skip
+    assert wanted <= set(results)
+    assert results["step"] == 20 and results["views"] == 3 and results["seed"] == 0
+    assert set(results["regularizers"]) == {"distortion", "lipschitz"}
+    assert results["points_per_second"] * results["train_seconds"] == pytest.approx(20 * 128 * 32, rel=1e-2)
+    lines = [json.loads(line) for line in (run / "metrics.jsonl").read_text().splitlines()]
+    assert len(lines) == 3
+    assert [line["step"] for line in lines] == sorted({line["step"] for line in lines})
+    assert lines[-1]["psnr"] == results["psnr"] and lines[-1]["losses"].keys() == {"color", "distortion"}
+    pictures = sorted((run / "renders").iterdir())
+    assert [picture.name for picture in pictures] == ["test_3.png", "test_4.png"]
+    assert iio.imread(pictures[0]).shape == (32, 4 * 32, 3)
+
+
+def test_evaluating_the_checkpoint_again_gives_the_same_scores(run: Path) -> None:
+    before = json.loads((run / "results.json").read_text())
+    assert main(["evaluate", str(run)]) == 0
+    after = json.loads((run / "results.json").read_text())
+    for key in ("psnr", "ssim", "depth_rmse"):
+        assert after[key] == pytest.approx(before[key], rel=1e-6)
+    assert after["step"] == 20 and after["regularizers"] == before["regularizers"]
+
+
+def test_a_film_along_an_orbit(run: Path) -> None:
+    assert main(["render", str(run), "path=orbit", "frames=3"]) == 0
+    for name in ("orbit_color.gif", "orbit_depth.gif"):
+        assert iio.imread(run / "renders" / name).shape[:3] == (3, 32, 32)
+
+
+def test_a_device_that_is_not_there(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main(["train", *SMALL, "device=nonsense"]) == 2
+    assert "device=nonsense: not available here" in capsys.readouterr().err
+    assert not list(tmp_path.rglob("results.json"))

@@ -1,0 +1,58 @@
+"""Budgets in steps and seconds."""
+
+from __future__ import annotations
+
+import time
+
+import pytest
+
+from nerfreg.errors import NerfregError
+from nerfreg.training.budget import Budget
+from nerfreg.training.config import TrainConfig
+
+
+def test_steps() -> None:
+    budget = Budget(TrainConfig(steps=4))
+    fractions = []
+    for _ in range(4):
+        fractions.append(budget.fraction)
+        assert budget.total == 4
+        with budget.spend():
+            pass
+    assert fractions == [0.0, 0.25, 0.5, 0.75] and budget.fraction == 1.0
+
+
+def test_seconds_count_only_what_is_spent() -> None:
+    budget = Budget(TrainConfig(steps=None, seconds=100.0))
+    with budget.spend():
+        time.sleep(0.02)
+    spent = budget.seconds
+    time.sleep(0.02)
+    assert budget.seconds == spent >= 0.02
+    assert budget.fraction == pytest.approx(spent / 100)
+    assert budget.total == round(100 / spent)
+
+
+def test_whichever_comes_first() -> None:
+    budget = Budget(TrainConfig(steps=10, seconds=20.0))
+    budget.step, budget.seconds = 5, 15.0
+    assert budget.fraction == 0.75
+    assert budget.total == 7  # 5 steps in 15 s make 6.7 in 20 s
+    budget.seconds = 1.0
+    assert budget.fraction == 0.5 and budget.total == 10
+    budget.seconds = 30.0
+    assert budget.fraction == 1.0
+
+
+@pytest.mark.parametrize(
+    "config, message",
+    [
+        (TrainConfig(steps=None), r"train.steps and train.seconds are both null"),
+        (TrainConfig(steps=0), r"train.steps=0: must be positive"),
+        (TrainConfig(seconds=-1.0), r"train.seconds=-1.0: must be positive"),
+        (TrainConfig(rays=0), r"train.rays=0: must be positive"),
+    ],
+)
+def test_budgets_without_an_end_are_refused(config: TrainConfig, message: str) -> None:
+    with pytest.raises(NerfregError, match=message):
+        Budget(config)

@@ -1,0 +1,89 @@
+"""Training steps on a small scene: they learn, they repeat, and a fused step is a plain step."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import pytest
+import torch
+
+from nerfreg.config import Config
+from nerfreg.field.network import Network
+from nerfreg.registry import Hooks
+from nerfreg.scenes import Scene, load_scene
+from nerfreg.training.trainer import Trainer
+
+SMALL = (
+    "scene.size=24", "scene.views=3", "scene.test_views=1", "field.levels=4", "field.finest=64",
+    "field.log2_entries=12", "sampler.coarse=16", "sampler.fine=16", "train.rays=128", "train.steps=40",
+)  # fmt: skip
+
+
+@pytest.fixture
+def make(compose: Callable[..., Config]) -> Callable[..., Trainer]:
+    def make(*overrides: str) -> Trainer:
+        config = compose(*SMALL, *overrides)
+        scene: Scene = load_scene(config.scene)
+        return Trainer(scene, Hooks(config.reg), config.field, config.sampler, config.optim, config.train, config.seed)
+
+    return make
+
+
+def color_error(trainer: Trainer, steps: int) -> list[float]:
+    return [float(trainer.step()[0].value) for _ in range(steps)]
+
+
+def test_the_error_falls(make: Callable[..., Trainer]) -> None:
+    errors = color_error(make(), 40)
+    assert sum(errors[-5:]) < 0.7 * sum(errors[:5])
+
+
+def test_every_preset_and_plugin_trains(make: Callable[..., Trainer]) -> None:
+    # the whole of CombiNeRF, and the rest of the plugins together
+    for reg in ("combinerf", "[entropy,adversarial,annealing,occlusion]"):
+        trainer = make(f"+reg={reg}")
+        before = [p.detach().clone() for p in trainer.field.parameters()]
+        for _ in range(6):
+            terms = trainer.step()
+        assert all(torch.isfinite(term.value) for term in terms)
+        assert len({term.plugin for term in terms}) >= 4
+        after = list(trainer.field.parameters())
+        assert any(not torch.equal(a, b) for a, b in zip(before, after, strict=True))
+        assert all(torch.isfinite(p).all() for p in after)
+
+
+def test_the_same_seed_gives_the_same_weights(make: Callable[..., Trainer]) -> None:
+    def weights(seed: int) -> torch.Tensor:
+        trainer = make("+reg=combinerf", f"seed={seed}")
+        for _ in range(10):
+            trainer.step()
+        return torch.cat([p.detach().flatten() for p in trainer.field.parameters()])
+
+    assert torch.equal(weights(0), weights(0))
+    assert not torch.equal(weights(0), weights(1))
+
+
+def test_fused_and_plain_networks_train_alike(make: Callable[..., Trainer], monkeypatch: pytest.MonkeyPatch) -> None:
+    fused = color_error(make("+reg=[lipschitz,distortion]", "reg.lipschitz.hidden_activation=gelu"), 10)
+    monkeypatch.setattr(Network, "_affine", lambda self: None)
+    plain = color_error(make("+reg=[lipschitz,distortion]", "reg.lipschitz.hidden_activation=gelu"), 10)
+    assert fused == pytest.approx(plain, rel=1e-3)
+
+
+def test_numba_and_torch_grids_train_alike(make: Callable[..., Trainer]) -> None:
+    numba, plain = color_error(make(), 10), color_error(make("field.backend=torch"), 10)
+    assert numba == pytest.approx(plain, rel=1e-3)
+
+
+def test_plugins_that_are_not_selected_change_nothing(make: Callable[..., Trainer]) -> None:
+    alone = color_error(make(), 5)
+    silent = color_error(make("+reg=distortion", "reg.distortion.weight=0"), 5)
+    assert alone == silent
+
+
+def test_the_learning_rate_decays_with_the_budget(make: Callable[..., Trainer]) -> None:
+    trainer = make("train.steps=2", "optim.lr=0.01", "optim.decay=0.01")
+    trainer.step()
+    assert trainer.optimizer.param_groups[0]["lr"] == pytest.approx(0.01)
+    trainer.step()
+    assert trainer.optimizer.param_groups[0]["lr"] == pytest.approx(0.001)  # half of the budget: 0.01^(1/2)
