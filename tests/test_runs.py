@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from pathlib import Path
 
 import imageio.v3 as iio
@@ -64,3 +65,36 @@ def test_a_device_that_is_not_there(
     assert main(["train", *SMALL, "device=nonsense"]) == 2
     assert "device=nonsense: not available here" in capsys.readouterr().err
     assert not list(tmp_path.rglob("results.json"))
+
+
+@pytest.mark.skipif("NERFREG_DATA" not in os.environ, reason="NERFREG_DATA is not set: no real photographs")
+@pytest.mark.parametrize(
+    "overrides, train, tests",
+    [
+        (
+            ["scene=llff", "scene.path=${oc.env:NERFREG_DATA}/nerf_llff_data/fern", "scene.views=3"],
+            ["image001", "image010", "image019"],
+            {"image000", "image008", "image016"},
+        ),
+        (
+            ["scene=blender", "scene.path=${oc.env:NERFREG_DATA}/nerf_synthetic/chair", "scene.factor=8"],
+            [f"train_r_{i}" for i in (26, 86, 2, 55, 75, 93, 16, 73)],
+            {f"test_r_{round(i * 199 / 24)}" for i in range(25)},
+        ),
+    ],
+)
+def test_real_photographs_by_the_papers_protocols(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, overrides: list[str], train: list[str], tests: set[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    small = [word for word in SMALL if not word.startswith("scene.")]
+    words = ["train", "+reg=combinerf", *overrides, *small, "sampler.coarse=8", "sampler.fine=8", "hydra.run.dir=run"]
+    assert main(words) == 0
+    results = json.loads((tmp_path / "run" / "results.json").read_text())
+    assert results["train_views"] == train and set(results["test_views"]) == tests
+    # the mean over images of each image's PSNR, and the geometric mean of the three errors
+    psnrs = [view["psnr"] for view in results["test_views"].values()]
+    assert results["psnr"] == pytest.approx(sum(psnrs) / len(psnrs))
+    errors = 10 ** (-results["psnr"] / 10) * (1 - results["ssim"]) ** 0.5 * results["lpips"]
+    assert results["average"] == pytest.approx(errors ** (1 / 3))
+    assert results["depth_rmse"] is None

@@ -42,13 +42,14 @@ class Network(StrEnum):
 class EncodingMask(Regularizer):
     """Coarse features first: encoded inputs are unmasked one by one (FreeNeRF, CombiNeRF).
 
-    The kept ratio grows linearly from `initial` to 1 at the fraction `saturation` of the budget. networks: `density`
+    The kept ratio grows linearly from `initial` to 1 at the fraction `saturation` of the budget. From 0, as the paper
+    has it, the network is blind at first: it learns colours of directions in a fog, and that costs. networks: `density`
     masks the hash grid, `color` the direction features. fractional: fade the next feature in instead of rounding
     down. It returns no loss; `weight` only switches it off, by 0.
     """
 
     networks: list[Network] = field(default_factory=lambda: [Network.density])
-    initial: float = 0.0
+    initial: float = 0.25
     saturation: float = 0.9
     fractional: bool = False
 

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Protocol, runtime_checkable
+from typing import NamedTuple, Protocol, runtime_checkable
 
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from nerfreg.field.directions import WIDTH, spherical_harmonics
@@ -53,11 +53,10 @@ class Renderer:
         near, far = _shared(near, rays.groups, "amin"), _shared(far, rays.groups, "amax")
         coarse = _spread(stratified(near, far, self.sampler.coarse, self.sampler.spacing, generator), rays.groups)
         ray_near, ray_far = _spread(near, rays.groups), _spread(far, rays.groups)
-        first = self._encode(rays, coarse, step)
-        coarse_raw = self._raw(first)
+        first = self._evaluate(self._encode(rays, coarse, step))
         with torch.no_grad():
             edges = edges_between(coarse, ray_near, ray_far)
-            weights = integrate(self.field.density(coarse_raw), edges).weights
+            weights = integrate(first.density, edges).weights
             fine = importance(
                 _shared(edges, rays.groups, "amin"),
                 _shared(weights, rays.groups, "mean"),
@@ -66,10 +65,9 @@ class Renderer:
             )
             fine = _spread(fine, rays.groups)
             t, order = merge(coarse, fine)
-        second = self._encode(rays, fine, step)
-        fine_raw = self._raw(second)
-        raw = torch.cat([coarse_raw, fine_raw], dim=1)
-        return self._composite(rays, t, edges_between(t, ray_near, ray_far), raw, order, second)
+        samples = self._encode(rays, fine, step)
+        both = first.followed_by(self._evaluate(samples)).ordered(order)
+        return self._composite(rays, t, edges_between(t, ray_near, ray_far), both, samples)
 
     def rerender(self, rendering: Rendering, step: Step) -> Rendering:
         """The same rays at the same t, with colours for the same samples.
@@ -77,9 +75,9 @@ class Renderer:
         One call of the density network with all R * N points in row-major order, then one of the colour network.
         """
         samples = self._encode(rendering.rays, rendering.t, step)
-        raw = self._raw(samples)
+        evaluation = self._evaluate(samples)
         return self._composite(
-            rendering.rays, rendering.t, rendering.t_edges, raw, None, samples, colored=rendering.colored
+            rendering.rays, rendering.t, rendering.t_edges, evaluation, samples, rendering.colored
         )
 
     def _encode(self, rays: Rays, t: Tensor, step: Step) -> Samples:
@@ -92,34 +90,29 @@ class Renderer:
         )
         return self.hooks.encoder_input(samples, step)
 
-    def _raw(self, samples: Samples) -> Tensor:
-        """Output of the density network, (R, N, 1 + geometry)."""
-        rays, count = samples.t.shape
-        self.points += rays * count
+    def _evaluate(self, samples: Samples) -> Evaluation:
+        points = samples.t.numel()
+        self.points += points
         raw = self.field.raw_density(samples.positions.reshape(-1, 3), samples.density_features)
-        return raw.view(rays, count, -1)
+        rows = torch.arange(points, device=raw.device).view(samples.t.shape)
+        return Evaluation(self.field.density(raw).view(samples.t.shape), raw, rows)
 
     def _composite(
         self,
         rays: Rays,
         t: Float[Tensor, "rays samples"],
         t_edges: Float[Tensor, "rays edges"],
-        raw: Float[Tensor, "rays samples out"],
-        order: Tensor | None,
+        evaluation: Evaluation,
         samples: Samples,
         colored: Bool[Tensor, "rays samples"] | None = None,
     ) -> Rendering:
-        """Composite; `order` says where in `raw` each of the ascending t lies, None where it is ascending already."""
-        density = self.field.density(raw)
-        if order is not None:
-            density = density.gather(1, order)
-        result = integrate(density, t_edges)
+        """Composite, with colours for the samples that have a visible one, or for those that are asked for."""
+        result = integrate(evaluation.density, t_edges)
         if colored is None:
             colored = result.weights.detach() > MIN_WEIGHT
         ray, sample = colored.nonzero(as_tuple=True)
-        place = sample if order is None else order[ray, sample]
         color = self.field.color(
-            raw.flatten(0, 1).index_select(0, ray * raw.shape[1] + place),
+            evaluation.raw.index_select(0, evaluation.rows[ray, sample]),
             _harmonics(samples.directions, ray, sample),
             samples.color_features,
         )
@@ -131,7 +124,7 @@ class Renderer:
             rays=rays,
             t_edges=t_edges,
             t=t,
-            density=density,
+            density=evaluation.density,
             tau=result.tau,
             log_transmittance=result.log_transmittance,
             weights=result.weights,
@@ -140,6 +133,29 @@ class Renderer:
             rgb=rgb,
             colored=colored,
         )
+
+
+class Evaluation(NamedTuple):
+    """The field at the samples of each ray.
+
+    density: (R, N). raw: (K, 1 + geometry) outputs of the density network. rows: (R, N) which of them is a sample's.
+    """
+
+    density: Float[Tensor, "rays samples"]
+    raw: Float[Tensor, "evaluated out"]
+    rows: Int[Tensor, "rays samples"]
+
+    def followed_by(self, other: Evaluation) -> Evaluation:
+        """Both, the other's samples behind these."""
+        return Evaluation(
+            torch.cat([self.density, other.density], dim=1),
+            torch.cat([self.raw, other.raw]),
+            torch.cat([self.rows, other.rows + len(self.raw)], dim=1),
+        )
+
+    def ordered(self, order: Int[Tensor, "rays samples"]) -> Evaluation:
+        """The samples of each ray in another order."""
+        return Evaluation(self.density.gather(1, order), self.raw, self.rows.gather(1, order))
 
 
 def _harmonics(directions: Tensor, ray: Tensor, sample: Tensor) -> Tensor:

@@ -13,7 +13,7 @@ from nerfreg.hooks import Rays, Samples, Step
 from nerfreg.rays.clipping import clip_to_box
 from nerfreg.rendering.config import SamplerConfig
 from nerfreg.rendering.occupancy import OccupancyGrid
-from nerfreg.rendering.renderer import Renderer
+from nerfreg.rendering.renderer import Evaluation, Renderer
 from nerfreg.scenes.cameras import Cameras
 from nerfreg.scenes.scene import Scene
 
@@ -75,14 +75,15 @@ class ViewRenderer(Renderer):
         image = image.view(*x.shape, 5)
         return View(image[..., :3].contiguous(), image[..., 3].contiguous(), image[..., 4].contiguous())
 
-    def _raw(self, samples: Samples) -> Tensor:
+    def _evaluate(self, samples: Samples) -> Evaluation:
         positions = samples.positions.reshape(-1, 3)
         seen = self.occupancy.contains(positions).nonzero().squeeze(1)
-        found = self.field.raw_density(positions[seen])
-        raw = found.new_zeros(len(positions), found.shape[1])
-        raw[:, 0] = -torch.inf
-        raw[seen] = found
-        return raw.view(*samples.t.shape, -1)
+        raw = self.field.raw_density(positions[seen])
+        density = raw.new_zeros(len(positions))
+        density[seen] = self.field.density(raw)
+        rows = seen.new_zeros(len(positions))
+        rows[seen] = torch.arange(len(seen), device=seen.device)
+        return Evaluation(density.view(samples.t.shape), raw, rows.view(samples.t.shape))
 
 
 class _NoHooks:
