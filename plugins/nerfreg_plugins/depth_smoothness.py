@@ -50,7 +50,7 @@ class DepthSmoothness(Regularizer):
 
     weight: float = 0.1
     patch_size: int = 4
-    patch_fraction: float = 0.25
+    patch_fraction: float = 0.0625
     reduction: Reduction = Reduction.sum
     opacity_weighted: bool = False
 

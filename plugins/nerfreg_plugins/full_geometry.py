@@ -32,7 +32,7 @@ class FullGeometry(Regularizer):
 
     weight: float = 1e-4
     patch_size: int = 0
-    patch_fraction: float = 0.25
+    patch_fraction: float = 0.0625
 
     by_layout: ClassVar[dict[str, dict[str, Any]]] = {"forward": {"weight": 1e-4}, "orbit": {"weight": 1e-3}}
     cite: ClassVar[str] = """@inproceedings{wynn2023diffusionerf,

@@ -82,7 +82,7 @@ class KLDivergence(Regularizer):
     density: Density = Density.weights
     neighbors: Neighbors = Neighbors.patch
     direction: Direction = Direction.forward
-    patch_fraction: float = 0.25
+    patch_fraction: float = 0.0625
 
     cite: ClassVar[str] = """@inproceedings{kim2022infonerf,
   title = {{InfoNeRF}: Ray Entropy Minimization for Few-Shot Neural Volume Rendering},

@@ -16,7 +16,7 @@ from torch import Tensor
 
 from nerfreg.config import Config
 from nerfreg.errors import NerfregError
-from nerfreg.evaluation.config import EvalConfig, evaluation_times, subset_of
+from nerfreg.evaluation.config import EvalConfig, subset_of
 from nerfreg.evaluation.images import depth_image, save_png, side_by_side
 from nerfreg.evaluation.lpips import load_lpips
 from nerfreg.evaluation.outputs import METRICS, RESULTS, append_metrics, write_results
@@ -51,7 +51,7 @@ def train(config: Config, folder: Path) -> dict[str, Any]:
     trainer = Trainer(scene, hooks, config.field, config.sampler, config.optim, config.train, config.seed, device)
     budget = trainer.budget
     (folder / METRICS).unlink(missing_ok=True)
-    due = list(evaluation_times(config.train.seconds, config.train.steps, config.eval.count))
+    due = list(config.eval.times(config.train.seconds, config.train.steps))
     subset = subset_of(scene.test, config.eval.subset_size)
     psnr: float | None = None
     with Progress(config.train.quiet) as progress:
@@ -63,7 +63,7 @@ def train(config: Config, folder: Path) -> dict[str, Any]:
                 with trainer.average.applied():
                     renderer = ViewRenderer(trainer.field, config.sampler, scene)
                     scores = score_views(
-                        scene, subset, _strided(renderer, scene, config.eval), None, config.eval.pixels_stride
+                        scene, subset, _strided(renderer, scene, config.eval), lpips, config.eval.pixels_stride
                     )
                 psnr = scores.psnr
                 append_metrics(folder, _record(trainer, scores, terms))

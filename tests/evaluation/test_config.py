@@ -14,6 +14,15 @@ def test_times_are_log_spaced_from_a_fiftieth_to_the_end():
     assert evaluation_times(60.0, None, 3) == pytest.approx((0.02, 0.14142136, 1.0), rel=1e-6)
 
 
+def test_chosen_times_replace_the_log_spaced_ones_and_the_end_is_always_one():
+    assert EvalConfig(at=[0.3, 0.1]).times(600.0, None) == (0.1, 0.3, 1.0)
+    assert EvalConfig(at=[]).times(600.0, None) == (1.0,)
+    assert EvalConfig(count=1).times(600.0, None) == (1.0,)
+    for wrong in ([0.0], [1.5]):
+        with pytest.raises(NerfregError, match=r"eval\.at"):
+            EvalConfig(at=wrong)
+
+
 def test_times_of_one_evaluation_are_the_end():
     assert evaluation_times(60.0, 1000, 1) == (1.0,)
 

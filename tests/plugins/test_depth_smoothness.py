@@ -105,4 +105,4 @@ def test_without_patches_there_is_no_term(rendering, step):
 
 
 def test_needs():
-    assert DepthSmoothness().nerfreg_needs() == Needs(patch_size=4, patch_fraction=0.25)
+    assert DepthSmoothness().nerfreg_needs() == Needs(patch_size=4, patch_fraction=0.0625)

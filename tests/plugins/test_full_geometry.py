@@ -58,4 +58,4 @@ def test_loss(rendering):
 
 def test_needs():
     assert FullGeometry().nerfreg_needs() is None
-    assert FullGeometry(patch_size=4).nerfreg_needs() == Needs(patch_size=4, patch_fraction=0.25)
+    assert FullGeometry(patch_size=4).nerfreg_needs() == Needs(patch_size=4, patch_fraction=0.0625)

@@ -129,5 +129,5 @@ def test_without_neighbours_there_is_no_term(rendering, step):
 
 
 def test_needs():
-    assert KLDivergence().nerfreg_needs() == Needs(patch_size=2, patch_fraction=0.25, neighbors="patch")
+    assert KLDivergence().nerfreg_needs() == Needs(patch_size=2, patch_fraction=0.0625, neighbors="patch")
     assert KLDivergence(neighbors=Neighbors.extra).nerfreg_needs() == Needs(neighbors="extra")

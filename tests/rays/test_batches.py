@@ -96,6 +96,18 @@ def test_neighbours_are_adjacent_and_share_their_group(orbit: Scene, needs: Need
         assert (rays.groups[rays.patches].flatten(1).float().std(dim=1, correction=0) == 0).all()
 
 
+def test_a_patch_counts_as_much_as_one_random_pixel(orbit: Scene) -> None:
+    rays = draw(orbit, Needs(patch_size=4, patch_fraction=0.5))
+    # 32 pixels and 2 patches of 16: 34 equal shares of a mean of 1 over 64 rays, hence 64/34 and 64/34/16
+    expected = torch.cat([torch.full((32,), 64 / 34), torch.full((32,), 64 / 34 / 16)])
+    assert rays.target_weights is not None
+    torch.testing.assert_close(rays.target_weights, expected)
+    whole = draw(orbit, Needs(patch_size=4, patch_fraction=1.0)).target_weights
+    assert whole is not None
+    torch.testing.assert_close(whole, torch.ones(64))
+    assert draw(orbit, Needs()).target_weights is None
+
+
 def test_neighbours_in_patches_cost_no_ray_and_extra_ones_do(orbit: Scene) -> None:
     assert len(draw(orbit, Needs(patch_size=4, patch_fraction=0.5, neighbors="patch"))) == 64
     extra = draw(orbit, Needs(patch_size=4, patch_fraction=0.5, neighbors="extra"))

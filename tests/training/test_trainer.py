@@ -9,9 +9,10 @@ import torch
 
 from nerfreg.config import Config
 from nerfreg.field.network import Network
+from nerfreg.hooks import Rendering
 from nerfreg.registry import Hooks
 from nerfreg.scenes import Scene, load_scene
-from nerfreg.training.trainer import Trainer
+from nerfreg.training.trainer import Trainer, color_error
 
 SMALL = (
     "scene.size=24", "scene.views=3", "scene.test_views=1", "field.levels=4", "field.finest=64",
@@ -29,12 +30,12 @@ def make(compose: Callable[..., Config]) -> Callable[..., Trainer]:
     return make
 
 
-def color_error(trainer: Trainer, steps: int) -> list[float]:
+def color_errors(trainer: Trainer, steps: int) -> list[float]:
     return [float(trainer.step()[0].value) for _ in range(steps)]
 
 
 def test_the_error_falls(make: Callable[..., Trainer]) -> None:
-    errors = color_error(make(), 40)
+    errors = color_errors(make(), 40)
     assert sum(errors[-5:]) < 0.7 * sum(errors[:5])
 
 
@@ -64,20 +65,20 @@ def test_the_same_seed_gives_the_same_weights(make: Callable[..., Trainer]) -> N
 
 
 def test_fused_and_plain_networks_train_alike(make: Callable[..., Trainer], monkeypatch: pytest.MonkeyPatch) -> None:
-    fused = color_error(make("+reg=[lipschitz,distortion]", "reg.lipschitz.hidden_activation=gelu"), 10)
+    fused = color_errors(make("+reg=[lipschitz,distortion]", "reg.lipschitz.hidden_activation=gelu"), 10)
     monkeypatch.setattr(Network, "_affine", lambda self: None)
-    plain = color_error(make("+reg=[lipschitz,distortion]", "reg.lipschitz.hidden_activation=gelu"), 10)
+    plain = color_errors(make("+reg=[lipschitz,distortion]", "reg.lipschitz.hidden_activation=gelu"), 10)
     assert fused == pytest.approx(plain, rel=1e-3)
 
 
 def test_numba_and_torch_grids_train_alike(make: Callable[..., Trainer]) -> None:
-    numba, plain = color_error(make(), 10), color_error(make("field.backend=torch"), 10)
+    numba, plain = color_errors(make(), 10), color_errors(make("field.backend=torch"), 10)
     assert numba == pytest.approx(plain, rel=1e-3)
 
 
 def test_plugins_that_are_not_selected_change_nothing(make: Callable[..., Trainer]) -> None:
-    alone = color_error(make(), 5)
-    silent = color_error(make("+reg=distortion", "reg.distortion.weight=0"), 5)
+    alone = color_errors(make(), 5)
+    silent = color_errors(make("+reg=distortion", "reg.distortion.weight=0"), 5)
     assert alone == silent
 
 
@@ -87,3 +88,12 @@ def test_the_learning_rate_decays_with_the_budget(make: Callable[..., Trainer]) 
     assert trainer.optimizer.param_groups[0]["lr"] == pytest.approx(0.01)
     trainer.step()
     assert trainer.optimizer.param_groups[0]["lr"] == pytest.approx(0.001)  # half of the budget: 0.01^(1/2)
+
+
+def test_the_color_error_by_hand(rendering: Callable[..., Rendering]) -> None:
+    made = rendering(torch.ones(3))  # black
+    made.rays.targets = torch.tensor([[1.0, 0.0, 0.5], [0.0, 0.0, 0.3]])  # the third ray has none
+    # mean squares 1.25/3 and 0.09/3; their mean, and weighted by 0.5 and 1.5
+    assert color_error(made).item() == pytest.approx(1.34 / 6)
+    made.rays.target_weights = torch.tensor([0.5, 1.5])
+    assert color_error(made).item() == pytest.approx((0.5 * 1.25 + 1.5 * 0.09) / 6)

@@ -18,6 +18,7 @@ class EvalConfig:
 
     lpips: whether to compute LPIPS. lpips_weights: safetensors file with its weights; None looks for one.
     count: evaluations of a run, log-spaced over its budget; the last is at the end, on all test views at full size.
+    at: shares of the budget at which to evaluate before the end, instead of the log-spaced ones.
     subset_size, pixels_stride: the evaluations before that take this many test views and every so-manieth pixel.
     save_renders: how many test views are saved as PNG at the end; None saves all.
     """
@@ -25,6 +26,7 @@ class EvalConfig:
     lpips: bool = True
     lpips_weights: str | None = None
     count: int = 8
+    at: list[float] | None = None
     subset_size: int = 2
     pixels_stride: int = 4
     save_renders: int | None = None
@@ -35,6 +37,14 @@ class EvalConfig:
             value = getattr(self, key)
             if value is not None and value < low:
                 raise NerfregError(f"eval.{key}={value}: must be at least {low}")
+        if self.at is not None and not all(0 < share <= 1 for share in self.at):
+            raise NerfregError(f"eval.at={list(self.at)}: must be shares of the budget, above 0 and up to 1")
+
+    def times(self, seconds: float | None, steps: int | None) -> tuple[float, ...]:
+        """Shares of a budget at which a run is scored, ascending, ending with 1."""
+        if self.at is not None:
+            return tuple(sorted({*self.at, 1.0}))
+        return evaluation_times(seconds, steps, self.count)
 
 
 def evaluation_times(seconds: float | None, steps: int | None, count: int) -> tuple[float, ...]:

@@ -42,8 +42,11 @@ class RayBatches:
         image, pixel = self._random_pixels(singles)
         neighbors: list[Tensor] = []
         groups = torch.arange(singles)
-        patch_index = None
+        patch_index = target_weights = None
         if patches:
+            target_weights = torch.ones(self.count)
+            target_weights[singles:] /= side**2
+            target_weights /= target_weights.mean()
             patch_image, patch_pixel = self._random_patches(patches, side)
             image, pixel = torch.cat([image, patch_image]), torch.cat([pixel, patch_pixel])
             patch_index = singles + torch.arange(patches * side**2).view(patches, side, side)
@@ -78,6 +81,7 @@ class RayBatches:
                 near=near,
                 far=far,
                 targets=targets,
+                target_weights=target_weights,
                 background=background,
                 patches=patch_index,
                 neighbors=torch.cat(neighbors) if neighbors else None,

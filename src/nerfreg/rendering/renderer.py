@@ -76,9 +76,7 @@ class Renderer:
         """
         samples = self._encode(rendering.rays, rendering.t, step)
         evaluation = self._evaluate(samples)
-        return self._composite(
-            rendering.rays, rendering.t, rendering.t_edges, evaluation, samples, rendering.colored
-        )
+        return self._composite(rendering.rays, rendering.t, rendering.t_edges, evaluation, samples, rendering.colored)
 
     def _encode(self, rays: Rays, t: Tensor, step: Step) -> Samples:
         samples = Samples(

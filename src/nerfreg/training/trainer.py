@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import torch
-from torch.nn import functional
+from jaxtyping import Float
+from torch import Tensor
 
 from nerfreg.field import FieldConfig, RadianceField
-from nerfreg.hooks import Step
+from nerfreg.hooks import Rendering, Step
 from nerfreg.rays import RayBatches
 from nerfreg.registry import Hooks, Term
 from nerfreg.rendering.config import SamplerConfig
@@ -65,8 +66,7 @@ class Trainer:
             step = self._step()
             rays = self.batches.draw(self.hooks.needs(step))
             rendering = self.renderer.render(rays, step)
-            error = functional.mse_loss(rendering.rgb[: len(rays.targets)], rays.targets)
-            terms = [Term(COLOR, COLOR, 1.0, error), *self.hooks.losses(rendering, step)]
+            terms = [Term(COLOR, COLOR, 1.0, color_error(rendering)), *self.hooks.losses(rendering, step)]
             total = torch.stack([term.weight * term.value for term in terms]).sum()
             self.optimizer.zero_grad(set_to_none=True)
             total.backward()
@@ -86,3 +86,10 @@ class Trainer:
             rerender=lambda rendering: self.renderer.rerender(rendering, step),
         )
         return step
+
+
+def color_error(rendering: Rendering) -> Float[Tensor, ""]:
+    """Mean squared error of the rays that have a target, weighted by `Rays.target_weights`."""
+    rays = rendering.rays
+    errors = (rendering.rgb[: len(rays.targets)] - rays.targets).square().mean(dim=1)
+    return errors.mean() if rays.target_weights is None else (rays.target_weights * errors).mean()
