@@ -35,45 +35,31 @@ class RayBatches:
     def draw(self, needs: Needs) -> Rays:
         """The rays of one step: pixels, then patches, then extra neighbours, then unseen views."""
         side = max(needs.patch_size, 2 if needs.neighbors == "patch" else 0)
-        patches = max(1, int(self.count * needs.patch_fraction / side**2)) if side else 0
-        if patches * side**2 > self.count:
-            raise NerfregError(f"train.rays={self.count}: too few for a patch of {side} x {side} pixels")
+        patches = self._patch_count(side, needs.patch_fraction)
         singles = self.count - patches * side**2
         image, pixel = self._random_pixels(singles)
-        neighbors: list[Tensor] = []
-        groups = torch.arange(singles)
-        patch_index = target_weights = None
+        groups = [torch.arange(singles)]
+        neighbors = []
         if patches:
-            target_weights = torch.ones(self.count)
-            target_weights[singles:] /= side**2
-            target_weights /= target_weights.mean()
             patch_image, patch_pixel = self._random_patches(patches, side)
             image, pixel = torch.cat([image, patch_image]), torch.cat([pixel, patch_pixel])
-            patch_index = singles + torch.arange(patches * side**2).view(patches, side, side)
-            groups = torch.cat([groups, singles + torch.arange(patches).repeat_interleave(side**2)])
+            groups.append(singles + torch.arange(patches).repeat_interleave(side**2))
             if needs.neighbors != "none":
                 neighbors.append(singles + patch_neighbors(patches, side, self.generator))
-        targets = self._colors(image, pixel)
-        origins, directions = self.scene.cameras.rays(self.views[image], pixel)
+        parts = [self.scene.cameras.rays(self.views[image], pixel)]
         if needs.neighbors == "extra":
-            width, height = self.scene.cameras.width, self.scene.cameras.height
-            adjacent = adjacent_pixels(pixel[:singles], width, height, self.generator)
-            more = self.scene.cameras.rays(self.views[image[:singles]], adjacent)
-            neighbors.append(torch.stack([torch.arange(singles), len(origins) + torch.arange(singles)], dim=1))
-            groups = torch.cat([groups, torch.arange(singles)])
-            origins, directions = torch.cat([origins, more[0]]), torch.cat([directions, more[1]])
+            parts.append(self._neighbor_rays(image[:singles], pixel[:singles]))
+            groups.append(torch.arange(singles))
+            neighbors.append(torch.stack([torch.arange(singles), self.count + torch.arange(singles)], dim=1))
         unseen = None
         if needs.unseen_rays > 0:
-            more = self._unseen_rays(round(self.count * needs.unseen_rays))
-            unseen = len(origins) + torch.arange(len(more[0]))
-            groups = torch.cat([groups, int(groups.max()) + 1 + torch.arange(len(more[0]))])
-            origins, directions = torch.cat([origins, more[0]]), torch.cat([directions, more[1]])
+            count, first = round(self.count * needs.unseen_rays), sum(len(part[0]) for part in parts)
+            parts.append(self._unseen_rays(count))
+            groups.append(singles + patches + torch.arange(count))
+            unseen = first + torch.arange(count)
+        origins, directions = (torch.cat(columns) for columns in zip(*parts, strict=True))
         near, far = clip_to_box(origins, directions, self.scene.box, self.scene.near, self.scene.far)
-        background = None
-        if self.scene.has_alpha:
-            background = torch.rand(len(origins), 3, generator=self.generator)
-            alpha = targets[:, 3:]
-            targets = targets[:, :3] * alpha + background[: len(targets)] * (1 - alpha)
+        targets, background = self._targets(image, pixel, len(origins))
         return self._to_device(
             Rays(
                 origins=origins,
@@ -81,14 +67,22 @@ class RayBatches:
                 near=near,
                 far=far,
                 targets=targets,
-                target_weights=target_weights,
+                target_weights=_patches_as_pixels(singles, patches, side) if patches else None,
                 background=background,
-                patches=patch_index,
+                patches=singles + torch.arange(patches * side**2).view(patches, side, side) if patches else None,
                 neighbors=torch.cat(neighbors) if neighbors else None,
                 unseen=unseen,
-                groups=groups if neighbors else None,
+                groups=torch.cat(groups) if neighbors else None,
             )
         )
+
+    def _patch_count(self, side: int, fraction: float) -> int:
+        """How many patches make up this share of the rays: at least one where any are needed."""
+        if side == 0:
+            return 0
+        if side**2 > self.count:
+            raise NerfregError(f"train.rays={self.count}: too few for a patch of {side} x {side} pixels")
+        return max(1, int(self.count * fraction / side**2))
 
     def _useful_pixels(self) -> Int[Tensor, "useful 3"]:
         """(image, x, y) of all training pixels whose rays meet the box."""
@@ -119,8 +113,20 @@ class RayBatches:
         corners = torch.minimum((pixel - side // 2).clamp_min(0), limit)
         return image.repeat_interleave(side**2), patch_pixels(corners, side).view(-1, 2)
 
-    def _colors(self, image: Tensor, pixel: Tensor) -> Float[Tensor, "rays channels"]:
-        return self.images[image, pixel[:, 1], pixel[:, 0]]
+    def _targets(
+        self, image: Tensor, pixel: Tensor, rays: int
+    ) -> tuple[Float[Tensor, "supervised 3"], Float[Tensor, "rays 3"] | None]:
+        """Colours of pixels and, where there is alpha, the random background of each ray that they are put on."""
+        colors = self.images[image, pixel[:, 1], pixel[:, 0]]
+        if not self.scene.has_alpha:
+            return colors, None
+        background = torch.rand(rays, 3, generator=self.generator)
+        return torch.lerp(background[: len(colors)], colors[:, :3], colors[:, 3:]), background
+
+    def _neighbor_rays(self, image: Tensor, pixel: Tensor) -> tuple[Float[Tensor, "rays 3"], Float[Tensor, "rays 3"]]:
+        """A ray through one of the four neighbours of each pixel."""
+        cameras = self.scene.cameras
+        return cameras.rays(self.views[image], adjacent_pixels(pixel, cameras.width, cameras.height, self.generator))
 
     def _unseen_rays(self, count: int) -> tuple[Float[Tensor, "rays 3"], Float[Tensor, "rays 3"]]:
         """Rays through random pixels of cameras at random places between two training cameras, one camera a ray."""
@@ -148,3 +154,10 @@ class RayBatches:
             return rays
         moved = {name: value.to(self.device) for name, value in vars(rays).items() if isinstance(value, Tensor)}
         return dataclasses.replace(rays, **moved)
+
+
+def _patches_as_pixels(singles: int, patches: int, side: int) -> Float[Tensor, " supervised"]:
+    """Weights of random pixels and of patches behind them, under which a patch counts as one pixel; their mean is 1."""
+    weights = torch.ones(singles + patches * side**2)
+    weights[singles:] /= side**2
+    return weights / weights.mean()
