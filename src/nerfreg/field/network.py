@@ -30,9 +30,9 @@ class Network(nn.Module):
         """(P, in) to (P, out).
 
         scale: factor of each input feature. x may be narrower than the first layer; the missing features are 0 and
-        cost nothing. plain: use autograd even where the fused path could run.
+        cost nothing. plain: use autograd even where the fused path could run, as is done on other devices than the CPU.
         """
-        affine = None if plain else self._affine()
+        affine = None if plain or x.device.type != "cpu" else self._affine()
         if affine is None:
             return self._plain(x, scale)
         weights = list(affine)
