@@ -7,8 +7,9 @@ import pytest
 import torch
 from torch import Tensor
 
-from nerfreg.evaluation.paths import look_at, nearest_point, orbit_path, spiral_path, upright
+from nerfreg.evaluation.paths import orbit_path, spiral_path, upright
 from nerfreg.scenes.cameras import Cameras
+from nerfreg.scenes.poses import look_at
 
 UP = torch.tensor([0.0, 0.0, 1.0])
 TARGET = torch.tensor([1.0, 2.0, 3.0])
@@ -83,29 +84,6 @@ def test_upright_of_one_camera_is_its_own_y_axis():
     assert torch.allclose(upright(poses), poses[0, :, 1], atol=1e-5)
 
 
-def test_nearest_point_of_crossing_and_of_skew_axes():
-    assert torch.allclose(nearest_point(ring([0.1, 2.0, 3.0]), torch.zeros(3)), TARGET, atol=1e-4)
-    # along x at height 0 and along y at height 1: the point nearest to both is half way up
-    x_axis = look_at(torch.tensor([5.0, 0.0, 0.0]), torch.zeros(3), UP)
-    y_axis = look_at(torch.tensor([0.0, 5.0, 1.0]), torch.tensor([0.0, 0.0, 1.0]), UP)
-    found = nearest_point(torch.stack([x_axis, y_axis]), torch.zeros(3))
-    assert torch.allclose(found, torch.tensor([0.0, 0.0, 0.5]), atol=1e-5)
-
-
-def test_nearest_point_of_one_axis_is_beside_the_prior():
-    pose = look_at(torch.tensor([5.0, 0.0, 0.0]), torch.zeros(3), UP)[None]
-    found = nearest_point(pose, torch.tensor([2.0, 7.0, 1.0]))
-    assert torch.allclose(found, torch.tensor([2.0, 0.0, 0.0]), atol=1e-5)
-
-
-@pytest.mark.parametrize("build", [orbit_path, spiral_path])
-def test_a_single_training_camera_still_moves(make_scene, build):
-    path = build(make_scene(poses=ring([0.7])), 5)
-    assert_rigid(path.poses)
-    assert path.poses.isfinite().all()
-    assert (path.poses[1:, :, 3] - path.poses[0, :, 3]).norm(dim=-1).min() > 0.01
-
-
 def forward_facing() -> Tensor:
     """Cameras side by side on z = 0, looking along -z."""
     poses = torch.eye(3, 4).repeat(4, 1, 1)
@@ -145,3 +123,11 @@ def test_only_training_cameras_count_and_intrinsics_are_the_first_ones(make_scen
     assert torch.allclose(path.poses, build(alone, 4).poses, atol=1e-5)
     assert torch.equal(path.focal, torch.tensor([[7.0, 8.0]]).expand(4, 2))
     assert (path.width, path.height, len(path)) == (12, 8, 4)
+
+
+@pytest.mark.parametrize("build", [orbit_path, spiral_path])
+def test_a_single_training_camera_still_moves(make_scene, build):
+    path = build(make_scene(poses=ring([0.7])), 5)
+    assert_rigid(path.poses)
+    assert path.poses.isfinite().all()
+    assert (path.poses[1:, :, 3] - path.poses[0, :, 3]).norm(dim=-1).min() > 0.01

@@ -12,21 +12,26 @@ from nerfreg.scenes import bounds
 from nerfreg.scenes.cameras import Cameras
 from nerfreg.scenes.poses import look_at, recenter
 
-UP = np.array([0.0, 0.0, 1.0])
+UP = torch.tensor([0.0, 0.0, 1.0])
 
 
 def cameras_at(positions: list[tuple[float, float, float]], target: tuple[float, float, float]) -> Cameras:
     """20 x 10 pixels, focal length 10: half fields of view 45 degrees and atan(1/2)."""
-    poses = np.stack([look_at(np.array(p, float), np.array(target, float), UP) for p in positions])
+    poses = look_at(torch.tensor(positions).float(), torch.tensor(target).float(), UP)
     count = len(positions)
     return Cameras(
         20,
         10,
-        torch.from_numpy(poses).float(),
+        poses,
         torch.full((count, 2), 10.0),
         torch.tensor([10.0, 5.0]).expand(count, 2),
         torch.zeros(count, 5),
     )
+
+
+def raised() -> torch.Tensor:
+    """What moves a pose up by one."""
+    return torch.tensor([[0.0, 0, 0, 0], [0, 0, 0, 0], [0, 0, 0, 1]])
 
 
 def test_look_at_point_is_where_axes_meet():
@@ -38,6 +43,19 @@ def test_look_at_point_of_one_view_is_nearest_to_the_origin():
     # The axis runs along y through (1, *, 2); the point on it nearest to the origin is (1, 0, 2).
     cameras = cameras_at([(1, -5, 2)], (1, 5, 2))
     torch.testing.assert_close(bounds.look_at_point(cameras, (0,)), torch.tensor([1.0, 0, 2]), atol=1e-5, rtol=0)
+
+
+def test_look_at_point_of_skew_axes_lies_between_them():
+    # along x at height 0 and along y at height 1: the point nearest to both is half way up
+    cameras = cameras_at([(5, 0, 0), (0, 5, 0)], (0, 0, 0))
+    both = replace(cameras, poses=cameras.poses + torch.tensor([0.0, 1.0])[:, None, None] * raised())
+    torch.testing.assert_close(bounds.look_at_point(both, (0, 1)), torch.tensor([0.0, 0, 0.5]), atol=1e-5, rtol=0)
+
+
+def test_look_at_point_of_one_view_is_beside_the_prior():
+    cameras = cameras_at([(5, 0, 0)], (0, 0, 0))
+    found = bounds.look_at_point(cameras, (0,), torch.tensor([2.0, 7.0, 1.0]))
+    torch.testing.assert_close(found, torch.tensor([2.0, 0, 0]), atol=1e-5, rtol=0)
 
 
 def test_orbit_box_and_its_bounds():
@@ -76,8 +94,9 @@ def test_layout():
 
 
 def test_recentering_is_rigid_and_makes_the_average_the_identity():
-    poses = cameras_at([(4, -1, 2), (6, -1, 2), (5, 1, 2)], (5, 0, 40)).poses.double().numpy()
-    moved = recenter(poses)
+    poses = cameras_at([(4, -1, 2), (6, -1, 2), (5, 1, 2)], (5, 0, 40)).poses.double()
+    moved = recenter(poses).numpy()
+    poses = poses.numpy()
     np.testing.assert_allclose(moved[:, :, 3].mean(0), 0, atol=1e-6)
     np.testing.assert_allclose(np.cross(moved[:, :, 2].sum(0), [0, 0, 1]), 0, atol=1e-6)
     distances = [np.linalg.norm(p[0, :, 3] - p[1, :, 3]) for p in (poses, moved)]

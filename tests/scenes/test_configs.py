@@ -14,7 +14,7 @@ CONF = Path(__file__).parents[2] / "conf" / "scene"
 @pytest.mark.parametrize("name", SCENES)
 def test_shipped_values_fit_the_schema(name):
     values = OmegaConf.load(CONF / f"{name}.yaml")
-    schema, own = values.pop("defaults")
+    schema, *_, own = values.pop("defaults")
     assert (schema.removesuffix("@scene"), own) == (f"{name}_schema", "_self_")
     values = values.get("scene", values)
     config = OmegaConf.to_object(OmegaConf.merge(OmegaConf.structured(SCENES[name]), values))

@@ -9,7 +9,9 @@ from jaxtyping import Float
 from torch import Tensor
 from torch.nn import functional
 
+from nerfreg.scenes.bounds import look_at_point
 from nerfreg.scenes.cameras import Cameras
+from nerfreg.scenes.poses import look_at, pose
 from nerfreg.scenes.scene import Scene
 
 
@@ -21,7 +23,7 @@ def spiral_path(scene: Scene, frames: int) -> Cameras:
     """
     poses = _training_poses(scene)
     center, up, back = poses[:, :, 3].mean(0), poses[:, :, 1].mean(0), poses[:, :, 2].mean(0)
-    frame = look_at(center, center - back, up)[:, :3]
+    frame = pose(back, up, center)[:, :3]
     distance = 2.0 / (1.0 / max(scene.near, 1e-2 * scene.far) + 1.0 / scene.far)
     target = center - distance * frame[:, 2]
     # a lone camera spans nothing: sway by a few hundredths of the distance instead
@@ -42,7 +44,7 @@ def orbit_path(scene: Scene, frames: int) -> Cameras:
     the mean radius and the mean height of the training cameras. Intrinsics are those of the first training view.
     """
     poses = _training_poses(scene)
-    target, up = nearest_point(poses, scene.box.to(poses).mean(0)), upright(poses)
+    target, up = look_at_point(scene.cameras, scene.train, scene.box.mean(0)), upright(poses)
     offsets = poses[:, :, 3] - target
     heights = offsets @ up
     flat = offsets - heights[:, None] * up
@@ -56,24 +58,6 @@ def orbit_path(scene: Scene, frames: int) -> Cameras:
         circle = math.cos(angle) * forward + math.sin(angle) * right
         origins.append(target + radius * circle + heights.mean() * up)
     return _cameras(scene, [look_at(origin, target, up) for origin in origins])
-
-
-def look_at(origin: Float[Tensor, " 3"], target: Float[Tensor, " 3"], up: Float[Tensor, " 3"]) -> Float[Tensor, "3 4"]:
-    """Pose, camera to world with OpenGL axes, of a camera at `origin` that sees `target` in the middle, `up` upward."""
-    back = functional.normalize(origin - target, dim=0)
-    right = functional.normalize(torch.linalg.cross(up, back), dim=0)
-    return torch.stack([right, torch.linalg.cross(back, right), back, origin], dim=-1)
-
-
-def nearest_point(poses: Float[Tensor, "views 3 4"], prior: Float[Tensor, " 3"]) -> Float[Tensor, " 3"]:
-    """The point with the least sum of squared distances to all optical axes; where many do, the one nearest `prior`."""
-    axes, origins = poses[:, :, 2], poses[:, :, 3]
-    across = torch.eye(3).to(poses) - axes[:, :, None] * axes[:, None, :]
-    eigenvalues, directions = torch.linalg.eigh(across.sum(0))
-    residual = directions.T @ (across @ (origins - prior)[:, :, None]).sum(0)[:, 0]
-    determined = eigenvalues > 1e-4 * len(poses)
-    step: Tensor = torch.where(determined, residual / eigenvalues.clamp_min(1e-12), torch.zeros_like(residual))
-    return prior + torch.mv(directions, step)
 
 
 def upright(poses: Float[Tensor, "views 3 4"]) -> Float[Tensor, " 3"]:

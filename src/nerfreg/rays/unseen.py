@@ -7,6 +7,8 @@ from jaxtyping import Float
 from torch import Tensor
 from torch.nn import functional
 
+from nerfreg.scenes.poses import pose
+
 
 def poses_between(
     first: Float[Tensor, "cameras 3 4"],
@@ -29,6 +31,4 @@ def poses_between(
             torch.lerp(functional.normalize(a, dim=-1), functional.normalize(b, dim=-1), share[:, None]), dim=-1
         )
         back = position - center
-    back = functional.normalize(back, dim=-1)
-    right = functional.normalize(torch.linalg.cross(up, back), dim=-1)
-    return torch.stack([right, torch.linalg.cross(back, right), back, position], dim=-1)
+    return pose(back, up, position)

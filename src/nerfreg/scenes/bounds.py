@@ -36,16 +36,19 @@ def find_layout(cameras: Cameras, views: Sequence[int]) -> str:
     return "forward" if coherence > FORWARD_COHERENCE else "orbit"
 
 
-def look_at_point(cameras: Cameras, views: Sequence[int]) -> Float[Tensor, " 3"]:
+def look_at_point(
+    cameras: Cameras, views: Sequence[int], prior: Float[Tensor, " 3"] | None = None
+) -> Float[Tensor, " 3"]:
     """The point nearest to the optical axes in the least-squares sense.
 
     It solves sum_i (I - a_i a_i^T) (p - o_i) = 0 for origins o and axes a. Along directions in which the axes leave it
-    open (a single view, parallel axes), it is the solution nearest to the world's origin.
+    open (a single view, parallel axes), it is the solution nearest to `prior`, or else to the world's origin.
     """
     axes, origins = cameras.axes[list(views)].double(), cameras.positions[list(views)].double()
     across = torch.eye(3, dtype=torch.float64) - axes[:, :, None] * axes[:, None, :]
-    target = (across @ origins[:, :, None]).sum(0)[:, 0]
-    point: Tensor = torch.linalg.pinv(across.sum(0), rtol=1e-5, hermitian=True) @ target
+    start = torch.zeros(3).double() if prior is None else prior.double()
+    residual = (across @ (origins - start)[:, :, None]).sum(0)[:, 0]
+    point: Tensor = start + torch.linalg.pinv(across.sum(0), rtol=1e-5, hermitian=True) @ residual
     return point.float()
 
 

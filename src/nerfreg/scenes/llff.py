@@ -47,7 +47,7 @@ class LLFF(SceneConfig):
         cameras = Cameras(
             header.width,
             header.height,
-            torch.from_numpy(recenter(poses)).float(),
+            recenter(torch.from_numpy(poses)).float(),
             torch.from_numpy(focal[:, None] * scale).float(),
             torch.tensor([header.width / 2, header.height / 2]).expand(len(files), 2),
             torch.zeros(len(files), 5),

@@ -2,30 +2,32 @@
 
 from __future__ import annotations
 
-import numpy as np
+import torch
 from jaxtyping import Float
+from torch import Tensor
+from torch.nn import functional
 
 
 def look_at(
-    position: Float[np.ndarray, " 3"], target: Float[np.ndarray, " 3"], up: Float[np.ndarray, " 3"]
-) -> Float[np.ndarray, "3 4"]:
-    """The pose of an upright camera at `position` that looks at `target`."""
-    return _frame(position - target, up, position)
+    position: Float[Tensor, "*cameras 3"], target: Float[Tensor, "*#cameras 3"], up: Float[Tensor, "*#cameras 3"]
+) -> Float[Tensor, "*cameras 3 4"]:
+    """Poses of upright cameras at `position` that see `target` in the middle, with `up` upward."""
+    return pose(position - target, up, position)
 
 
-def recenter(poses: Float[np.ndarray, "views 3 4"]) -> Float[np.ndarray, "views 3 4"]:
+def pose(
+    back: Float[Tensor, "*cameras 3"], up: Float[Tensor, "*#cameras 3"], position: Float[Tensor, "*cameras 3"]
+) -> Float[Tensor, "*cameras 3 4"]:
+    """Poses of cameras that look along -`back`, with y as near to `up` as that allows."""
+    z = functional.normalize(back, dim=-1)
+    x = functional.normalize(torch.linalg.cross(up.expand_as(z), z), dim=-1)
+    return torch.stack([x, torch.linalg.cross(z, x), z, position], dim=-1)
+
+
+def recenter(poses: Float[Tensor, "views 3 4"]) -> Float[Tensor, "views 3 4"]:
     """Move the world rigidly so that the average camera stands at the origin and looks along -z. Keeps its unit."""
-    center = _frame(poses[:, :, 2].sum(0), poses[:, :, 1].sum(0), poses[:, :, 3].mean(0))
-    rotation = center[:, :3].T
-    moved: np.ndarray = rotation @ poses
-    moved[:, :, 3] -= rotation @ center[:, 3]
+    average = pose(poses[:, :, 2].sum(0), poses[:, :, 1].sum(0), poses[:, :, 3].mean(0))
+    rotation = average[:, :3].T
+    moved = rotation @ poses
+    moved[:, :, 3] -= rotation @ average[:, 3]
     return moved
-
-
-def _frame(
-    back: Float[np.ndarray, " 3"], up: Float[np.ndarray, " 3"], position: Float[np.ndarray, " 3"]
-) -> Float[np.ndarray, "3 4"]:
-    z = back / np.linalg.norm(back)
-    x = np.cross(up, z)
-    x = x / np.linalg.norm(x)
-    return np.stack((x, np.cross(z, x), z, position), axis=1)

@@ -81,14 +81,15 @@ class Procedural(SceneConfig):
                 raise NerfregError(f"scene.{key}={value}: must be at least 1")
         place = orbit_positions if layout == "orbit" else forward_positions
         positions = np.concatenate((place(views, False), place(self.test_views, True)))
-        poses = np.stack([look_at(position, TARGET, np.array([0.0, 0.0, 1.0])) for position in positions])
+        up = torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64)
+        poses = look_at(torch.from_numpy(positions), torch.from_numpy(TARGET), up)
         count = len(poses)
         # Of the narrower side, so that the solids fit whatever the shape of the image.
         focal = 0.5 * min(self.size, height) / math.tan(0.5 * FIELD_OF_VIEW)
         cameras = Cameras(
             self.size,
             height,
-            torch.from_numpy(poses).float(),
+            poses.float(),
             torch.full((count, 2), focal),
             torch.tensor([self.size / 2, height / 2]).expand(count, 2),
             torch.zeros(count, 5),
