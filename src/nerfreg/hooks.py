@@ -69,13 +69,14 @@ class Rays:
 
     origins, directions: (R, 3) in world units; directions have unit length, so t is a distance.
     near, far: (R,) the part of each ray that is sampled.
-    targets: (S, 3) colours in [0, 1]. target_weights: (S,) what each counts in the colour error, 1 on average; a patch
-        counts as much as one random pixel, since its pixels say nearly the same. None where all are equal.
+    targets: (S, 3) colours in [0, 1].
     background: (R, 3) what shines through where opacity is below 1; None where the photographs have no alpha.
     patches: (P, S, S) ray indices; rows run down the image, columns to the right. None if nobody needs patches.
     neighbors: (M, 2) ray indices of adjacent pixels, first the ray, then its neighbour. Both share their t.
     unseen: (U,) ray indices from unseen poses.
     groups: (R,) rays with the same number share their t; None if no rays do.
+    target_weights: (S,) what each target counts in the colour error, 1 on average; a patch counts as much as one random
+        pixel, since its pixels say nearly the same. None where all are equal.
     """
 
     origins: Float[Tensor, "rays 3"]
@@ -83,12 +84,12 @@ class Rays:
     near: Float[Tensor, " rays"]
     far: Float[Tensor, " rays"]
     targets: Float[Tensor, "supervised 3"]
-    target_weights: Float[Tensor, " supervised"] | None = None
     background: Float[Tensor, "rays 3"] | None = None
     patches: Int[Tensor, "patches side side"] | None = None
     neighbors: Int[Tensor, "pairs 2"] | None = None
     unseen: Int[Tensor, " unseen"] | None = None
     groups: Int[Tensor, " rays"] | None = None
+    target_weights: Float[Tensor, " supervised"] | None = None
 
     def __len__(self) -> int:
         return len(self.origins)

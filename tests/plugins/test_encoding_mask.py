@@ -69,11 +69,17 @@ def seen(plugin: Regularizer, step, fraction: float) -> tuple[float | None, floa
 def test_encoder_input(step):
     # Half way: 16 of 32 grid features, 8 of 16 direction features.
     both = [Network.density, Network.color]
-    assert seen(EncodingMask(saturation=1.0), step, 0.5) == (16, None)
-    assert seen(EncodingMask(saturation=1.0, networks=[Network.color]), step, 0.5) == (None, 8)
-    assert seen(EncodingMask(saturation=1.0, networks=both), step, 0.51) == (16, 8)
-    plugin = EncodingMask(saturation=1.0, networks=both, fractional=True)
+    assert seen(EncodingMask(initial=0.0, saturation=1.0), step, 0.5) == (16, None)
+    assert seen(EncodingMask(initial=0.0, saturation=1.0, networks=[Network.color]), step, 0.5) == (None, 8)
+    assert seen(EncodingMask(initial=0.0, saturation=1.0, networks=both), step, 0.51) == (16, 8)
+    plugin = EncodingMask(initial=0.0, saturation=1.0, networks=both, fractional=True)
     assert seen(plugin, step, 0.51) == pytest.approx((16.32, 8.16))
+
+
+def test_a_quarter_is_there_from_the_start(step):
+    # by default 32 / 4 grid features, and half way to saturation (1/4 + 1) / 2 = 5/8 of them, 20
+    assert seen(EncodingMask(saturation=1.0), step, 0.0) == (8, None)
+    assert seen(EncodingMask(saturation=1.0), step, 0.5) == (20, None)
 
 
 def test_nothing_is_masked_once_saturated_or_outside_the_window(step):
