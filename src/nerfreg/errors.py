@@ -1,4 +1,8 @@
-"""The one exception that a user is meant to read."""
+"""The one exception that a user is meant to read, and the checks that most configurations need."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
 
 
 class NerfregError(Exception):
@@ -6,3 +10,22 @@ class NerfregError(Exception):
 
     Raised at the border, once. The command line prints the line and exits with code 2.
     """
+
+
+def require_range(room: str, config: object, **limits: tuple[float | int, float | int]) -> None:
+    """Refuse values of `config` outside [lowest, highest], given by key; None passes.
+
+    room: the configuration group, for the message. Raises NerfregError naming key, value and limits.
+    """
+    for key, (lowest, highest) in limits.items():
+        value = getattr(config, key)
+        if value is not None and not lowest <= value <= highest:
+            limit = f"at least {lowest:g}" if highest == float("inf") else f"between {lowest:g} and {highest:g}"
+            raise NerfregError(f"{room}.{key}={value}: must be {limit}")
+
+
+def require_choice(room: str, config: object, key: str, choices: Collection[str]) -> None:
+    """Refuse a value of `config` that is none of `choices`. Raises NerfregError naming key, value and choices."""
+    value = getattr(config, key)
+    if value not in choices:
+        raise NerfregError(f"{room}.{key}={value}: choose one of {', '.join(choices)}")

@@ -7,7 +7,6 @@ import pytest
 import torch
 from torch import Tensor
 
-from nerfreg.errors import NerfregError
 from nerfreg.field import grid_numba, grid_torch
 from nerfreg.field.grid import HashGrid
 from nerfreg.field.grid_layout import GridLayout
@@ -110,11 +109,6 @@ def test_no_points_and_no_levels() -> None:
 def test_float64_goes_through_plain_torch() -> None:
     grid = HashGrid(GridLayout(2, 4, 8, 6)).double()
     assert grid(torch.rand(3, 3, dtype=torch.float64), 2).dtype == torch.float64
-
-
-def test_unknown_backend_is_refused() -> None:
-    with pytest.raises(NerfregError, match=r"field.backend=cuda: choose one of auto, numba, torch"):
-        HashGrid(GridLayout(2, 4, 8, 6), backend="cuda")
 
 
 def test_silenced_levels_get_no_gradient() -> None:

@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from nerfreg.errors import NerfregError
+from nerfreg.errors import NerfregError, require_range
 
 FIRST_EVALUATION = 0.02
 """Share of the budget after which a run is scored for the first time."""
@@ -32,11 +32,8 @@ class EvalConfig:
     save_renders: int | None = None
 
     def __post_init__(self) -> None:
-        lowest = {"count": 1, "subset_size": 1, "pixels_stride": 1, "save_renders": 0}
-        for key, low in lowest.items():
-            value = getattr(self, key)
-            if value is not None and value < low:
-                raise NerfregError(f"eval.{key}={value}: must be at least {low}")
+        one = (1, math.inf)
+        require_range("eval", self, count=one, subset_size=one, pixels_stride=one, save_renders=(0, math.inf))
         if self.at is not None and not all(0 < share <= 1 for share in self.at):
             raise NerfregError(f"eval.at={list(self.at)}: must be shares of the budget, above 0 and up to 1")
 

@@ -2,7 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+
+from nerfreg.errors import require_choice, require_range
+
+BACKENDS = ("auto", "numba", "torch")
 
 
 @dataclass
@@ -27,3 +32,9 @@ class FieldConfig:
     color_layers: int = 3
     density_bias: float = 0.0
     backend: str = "auto"
+
+    def __post_init__(self) -> None:
+        one = (1, math.inf)
+        require_range("field", self, levels=one, base=one, finest=(self.base, 65536), log2_entries=(3, 26))
+        require_range("field", self, hidden=one, geometry=one, density_layers=one, color_layers=one)
+        require_choice("field", self, "backend", BACKENDS)

@@ -6,10 +6,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from nerfreg.errors import NerfregError
 from nerfreg.field.grid_layout import FEATURES, GridLayout
-
-BACKENDS = ("auto", "numba", "torch")
 
 
 class HashGrid(nn.Module):
@@ -20,8 +17,6 @@ class HashGrid(nn.Module):
 
     def __init__(self, layout: GridLayout, backend: str = "auto") -> None:
         super().__init__()
-        if backend not in BACKENDS:
-            raise NerfregError(f"field.backend={backend}: choose one of {', '.join(BACKENDS)}")
         self.layout = layout
         self.backend = backend
         self.table = nn.Parameter(torch.empty(layout.entries, FEATURES).uniform_(-1e-4, 1e-4))

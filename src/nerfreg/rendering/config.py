@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+
+from nerfreg.errors import require_choice, require_range
 
 
 @dataclass
@@ -18,3 +21,7 @@ class SamplerConfig:
     fine: int = 128
     spacing: str = "linear"
     skip_resolution: int = 128
+
+    def __post_init__(self) -> None:
+        require_range("sampler", self, coarse=(1, math.inf), fine=(0, math.inf), skip_resolution=(1, 512))
+        require_choice("sampler", self, "spacing", ("linear", "disparity"))

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+
+from nerfreg.errors import require_range
 
 
 @dataclass
@@ -33,3 +36,8 @@ class OptimConfig:
     eps: float = 1e-15
     decay: float = 0.1
     ema: float = 0.95
+
+    def __post_init__(self) -> None:
+        positive, below_one = (1e-20, math.inf), (0, 0.9999)
+        require_range("optim", self, lr=positive, eps=positive, decay=positive)
+        require_range("optim", self, beta1=below_one, beta2=below_one, ema=below_one)
