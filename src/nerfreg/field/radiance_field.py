@@ -10,7 +10,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from nerfreg.field.config import FieldConfig
-from nerfreg.field.directions import WIDTH, spherical_harmonics
+from nerfreg.field.directions import WIDTH
 from nerfreg.field.grid import HashGrid
 from nerfreg.field.grid_layout import FEATURES, GridLayout
 from nerfreg.field.network import Network
@@ -90,6 +90,3 @@ def _build(network: str, widths: list[int], make_layer: LayerFactory) -> Network
             for i in range(len(widths) - 1)
         ]
     )
-
-
-__all__ = ["RadianceField", "spherical_harmonics"]
