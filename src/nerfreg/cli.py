@@ -18,11 +18,11 @@ from nerfreg.errors import NerfregError
 
 @dataclass(frozen=True)
 class Verb:
-    """usage: what follows the verb. help: one line. run: takes the arguments after the verb."""
+    """usage: what follows the verb. help: one line. run: takes the arguments after it, and may return an exit code."""
 
     usage: str
     help: str
-    run: Callable[[list[str]], None]
+    run: Callable[[list[str]], int | None]
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -34,12 +34,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     debug = "--debug" in words
     words = [word for word in words if word != "--debug"]
     try:
-        _dispatch(words)
+        return _dispatch(words) or 0
     except NerfregError as error:
         if debug:
             traceback.print_exc()
         print(f"nerfreg: error: {error}", file=sys.stderr)
-        return 2
+        return error.exit_code
     except KeyboardInterrupt:
         if debug:
             traceback.print_exc()
@@ -49,10 +49,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         # `nerfreg plugins | head`: nobody reads on, and the interpreter must not fail when it flushes.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 141
-    return 0
 
 
-def _dispatch(words: list[str]) -> None:
+def _dispatch(words: list[str]) -> int | None:
     if not words or words[0] in ("-h", "--help", "help"):
         print(_help())
     elif words[0] == "--version":
@@ -66,7 +65,8 @@ def _dispatch(words: list[str]) -> None:
     elif words[0] not in HYDRA_VERBS and {"-h", "--help"} & set(words):
         print(_verb_help(words[0]))
     else:
-        VERBS[words[0]].run(words[1:])
+        return VERBS[words[0]].run(words[1:])
+    return None
 
 
 def _help() -> str:
@@ -137,17 +137,33 @@ def _plugins(words: list[str]) -> None:
     print_plugins()
 
 
+def _check(words: list[str]) -> int:
+    from nerfreg.stability.command import run
+
+    return run(words)
+
+
+def _bench(words: list[str]) -> int:
+    from nerfreg.bench.command import run
+
+    return run(words)
+
+
 VERBS = {
     "train": Verb("[overrides]", "train on a scene; Hydra overrides choose everything", _train),
     "evaluate": Verb("RUN [overrides]", "score a run's checkpoint on the test views again", _evaluate),
     "render": Verb("RUN [options]", "render test views, or a path to a video", _render),
     "scene": Verb("[overrides]", "what is found in a scene's files, and a picture of its cameras", _scene),
     "plugins": Verb("", "the installed regularizers", _plugins),
+    "check": Verb("[PLUGIN ...] [options]", "plugins against stiff and extreme cases", _check),
+    "bench": Verb("NAME [options]", "error against run time of what nerfreg computes", _bench),
     "cite": Verb("RUN", "BibTeX of everything that a run used", _cite),
 }
 HYDRA_VERBS = ("train", "scene")
 DETAILS = {
     "evaluate": "Overrides change keys of the group eval, e.g. eval.lpips_weights=weights.safetensors.",
+    "check": "Options: --case NAME  --dtype NAME  --samples N  --replay FILE  --json  --list (the cases)",
+    "bench": "Names: quadrature, losses. Options: -o FOLDER (default bench/NAME)  --quick",
     "render": "Options: path=test|spiral|orbit  frames=60  fps=30  format=mp4|gif  out=FOLDER (default RUN/renders)",
 }
 

@@ -3,13 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Collection
+from typing import ClassVar
 
 
 class NerfregError(Exception):
     """Bad input: one line that says what is wrong, where (file, key, value) and what to do.
 
-    Raised at the border, once. The command line prints the line and exits with code 2.
+    Raised at the border, once. The command line prints the line and exits with `exit_code`.
     """
+
+    exit_code: ClassVar[int] = 2
+
+
+class NonFiniteError(NerfregError):
+    """Training met too many losses or gradients in a row that are not finite."""
+
+    exit_code = 3
 
 
 def require_range(room: str, config: object, **limits: tuple[float | int, float | int]) -> None:

@@ -195,6 +195,11 @@ class Regularizer:
     conflicts: ClassVar[tuple[str, ...]] = ()
     cite: ClassVar[str] = ""
 
+    @property
+    def scale_free(self) -> bool:
+        """Whether the loss stays the same when all distances grow by a factor; `nerfreg check` holds a plugin to it."""
+        return False
+
     def active(self, step: Step) -> bool:
         """Whether `step` lies in [start, end); the last step of a run belongs to `end: 1.0`."""
         begun = step.index >= self.start if isinstance(self.start, int) else step.fraction >= self.start
@@ -204,7 +209,7 @@ class Regularizer:
 
 
 class HookSpecs:
-    """All hooks, in the order in which a step calls them."""
+    """All hooks, in the order in which a step calls them, and two that only `nerfreg check` calls."""
 
     @hookspec(firstresult=True)
     def nerfreg_layer(
@@ -242,4 +247,22 @@ class HookSpecs:
         """Return scalar terms by name, unweighted, reduced by the mean over rays.
 
         Called for plugins whose weight is not 0 and whose window is open. Never change `rendering`.
+        """
+
+    @hookspec
+    def nerfreg_reference(self, given: nn.Module | Rays | Samples | Rendering, step: Step) -> dict[str, Any] | None:
+        """The exact values of what the plugin makes of `given`, for `nerfreg check` to compare with.
+
+        Of a Rendering, the terms that `nerfreg_loss` returns, by name. Of Rays, "near" and "far". Of Samples, those of
+        its attributes that the plugin changes, by name. Of a layer that `nerfreg_layer` made, "weight" and "bias" as
+        `AffineLayer.effective` returns them. The tensors given count as exact; the values are numbers or nested
+        lists, computed in mpmath, or in float64 where that is exact enough for float32 input.
+        """
+
+    @hookspec
+    def nerfreg_contract(self, step: Step) -> dict[str, float]:
+        """What the plugin promises of its own state: by how much each promise is broken now, 0 where it is kept.
+
+        Called by `nerfreg check` whenever the plugin has been used, also inside `step.rerender`, while what it
+        has set for that rendering is in force.
         """

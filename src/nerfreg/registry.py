@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from functools import cache
 from importlib.metadata import EntryPoint, PackageNotFoundError, distribution, entry_points
 from pathlib import Path
+from typing import Any
 
 import pluggy
 from torch import Tensor, nn
@@ -23,6 +24,7 @@ from nerfreg.nearest import nearest
 
 GROUP = "nerfreg.plugins"
 HOOKS = tuple(name for name in vars(HookSpecs) if name.startswith("nerfreg_"))
+CHECK_HOOKS = ("nerfreg_reference", "nerfreg_contract")
 
 
 @dataclass(frozen=True)
@@ -37,8 +39,9 @@ class PluginInfo:
 
     @property
     def hook_points(self) -> tuple[str, ...]:
-        """The hooks that the plugin implements, without their prefix, in the order in which a step calls them."""
-        return tuple(hook.removeprefix("nerfreg_") for hook in _implemented(self.cls)) if self.cls else ()
+        """The hooks by which the plugin takes part in a run, without their prefix, in the order of a step."""
+        used = _implemented(self.cls) if self.cls else ()
+        return tuple(hook.removeprefix("nerfreg_") for hook in used if hook not in CHECK_HOOKS)
 
     @property
     def summary(self) -> str:
@@ -212,6 +215,16 @@ class Hooks:
                         raise NerfregError(f"plugin {name}: term '{term}' has shape {shape}, return scalars")
                     terms.append(Term(name, term, float(self.plugins[name].weight), value))
         return terms
+
+    def reference(self, name: str, given: nn.Module | Rays | Samples | Rendering, step: Step) -> dict[str, Any]:
+        """The exact values that plugin `name` ships for what it makes of `given`; empty if it ships none."""
+        answers = self._manager((name,)).hook.nerfreg_reference(given=given, step=step)
+        return {key: value for answer in answers for key, value in answer.items()}
+
+    def contract(self, name: str, step: Step) -> dict[str, float]:
+        """By how much plugin `name` breaks each promise it makes of itself."""
+        answers = self._manager((name,)).hook.nerfreg_contract(step=step)
+        return {key: value for answer in answers for key, value in answer.items()}
 
     def _active(self, hook: str, step: Step) -> tuple[str, ...]:
         users = self._users[hook]
