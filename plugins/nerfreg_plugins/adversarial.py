@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Generator
 from dataclasses import dataclass, replace
-from typing import ClassVar, no_type_check
+from typing import Any, ClassVar, no_type_check
 
+import mpmath
 import torch
 from jaxtyping import Float
 from torch import Tensor, nn
@@ -13,6 +14,7 @@ from torch.nn import functional
 
 from nerfreg import Regularizer, Rendering, Samples, Step, hookimpl
 from nerfreg.field.layers import AffineLayer
+from nerfreg.numerics import exact
 
 TARGETS = ("positions", "directions", "t", "features", "sigma", "rgb")
 
@@ -113,20 +115,24 @@ class Adversarial(Regularizer):
 
     @hookimpl
     def nerfreg_loss(self, rendering: Rendering, step: Step) -> dict[str, Float[Tensor, ""]]:
-        radii = self._radii(step)
-        deltas = {name: rendering.t.new_zeros(shape) for name, shape in self._shapes(rendering).items()}
         try:
-            for _ in range(self.steps):
-                deltas = {name: delta.requires_grad_() for name, delta in deltas.items()}
-                error = self._error(rendering, step, deltas)
-                grads = torch.autograd.grad(error, list(deltas.values()), allow_unused=True, materialize_grads=True)
-                deltas = {
-                    name: pgd_step(delta.detach(), grad, self.step_size * radii[name], radii[name])
-                    for (name, delta), grad in zip(deltas.items(), grads, strict=True)
-                }
-            return {"adversarial": self._error(rendering, step, deltas)}
+            return {"adversarial": self._error(rendering, step, self._worst(rendering, step))}
         finally:
             self._set({})
+
+    def _worst(self, rendering: Rendering, step: Step) -> dict[str, Tensor]:
+        """The perturbations that PGD ends with."""
+        radii = self._radii(step)
+        deltas = {name: rendering.t.new_zeros(shape) for name, shape in self._shapes(rendering).items()}
+        for _ in range(self.steps):
+            deltas = {name: delta.requires_grad_() for name, delta in deltas.items()}
+            error = self._error(rendering, step, deltas)
+            grads = torch.autograd.grad(error, list(deltas.values()), allow_unused=True, materialize_grads=True)
+            deltas = {
+                name: pgd_step(delta.detach(), grad, self.step_size * radii[name], radii[name])
+                for (name, delta), grad in zip(deltas.items(), grads, strict=True)
+            }
+        return deltas
 
     def _radii(self, step: Step) -> dict[str, float]:
         length = step.bounds[1] - step.bounds[0]
@@ -143,9 +149,32 @@ class Adversarial(Regularizer):
         return {name: shape for name, shape in shapes.items() if getattr(self, name) > 0}
 
     def _error(self, rendering: Rendering, step: Step, deltas: dict[str, Tensor]) -> Float[Tensor, ""]:
+        colors, targets = self._perturbed(rendering, step, deltas)
+        return (colors - targets).square().mean()
+
+    def _perturbed(self, rendering: Rendering, step: Step, deltas: dict[str, Tensor]) -> tuple[Tensor, Tensor]:
+        """The colours under the perturbations, and those that they should have, (S, 3) each."""
         self._set(deltas)
         targets = rendering.rays.targets
-        return (step.rerender(rendering).rgb[: len(targets)] - targets).square().mean()
+        return step.rerender(rendering).rgb[: len(targets)], targets
+
+    @hookimpl
+    def nerfreg_reference(self, given: Any, step: Step) -> dict[str, Any] | None:
+        if not isinstance(given, Rendering):
+            return None
+        try:
+            pairs = zip(*map(exact, self._perturbed(given, step, self._worst(given, step))), strict=True)
+            squares = [(a - b) ** 2 for colors, targets in pairs for a, b in zip(colors, targets, strict=True)]
+        finally:
+            self._set({})
+        return {"adversarial": mpmath.fsum(squares) / len(squares)}
+
+    @hookimpl
+    def nerfreg_contract(self, step: Step) -> dict[str, float]:
+        """Every perturbation lies in its ball; the excess is relative to the radius."""
+        radii = self._radii(step)
+        sizes = {name: float(delta.detach().double().abs().max()) for name, delta in self._deltas.items()}
+        return {f"ball of {name}": max(size / radii[name] - 1, 0.0) for name, size in sizes.items()}
 
     def _set(self, deltas: dict[str, Tensor]) -> None:
         self._deltas = deltas

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Generator
 from dataclasses import dataclass
-from typing import ClassVar, no_type_check
+from typing import Any, ClassVar, no_type_check
 
-import torch
+import mpmath
 from jaxtyping import Float
 from torch import Tensor
 
-from nerfreg import NerfregError, Regularizer, Step, hookimpl
+from nerfreg import NerfregError, Rays, Regularizer, Step, hookimpl
+from nerfreg.numerics import exact, single
 
 
 def annealed_bounds(
@@ -23,12 +24,23 @@ def annealed_bounds(
 ) -> tuple[Float[Tensor, " rays"], Float[Tensor, " rays"]]:
     """t_n(i) = t_m + (t_n - t_m) eta(i), likewise t_f, with eta(i) = min(max(i / N_t, p_s), 1).
 
-    near, far: (R,) t_n and t_f. step, steps: i and N_t in the same unit. start: p_s in (0, 1]. mid: where t_m lies
-    between near (0) and far (1). From i = N_t on, near and far come back exactly.
+    near, far: (R,) t_n and t_f, 0 <= t_n <= t_f. step, steps: i and N_t in the same unit. start: p_s in (0, 1]. mid:
+    where t_m lies between near (0) and far (1). From i = N_t on, near and far come back exactly; the new bounds are
+    always in order and inside them.
     """
-    eta = min(max(step / steps, start), 1.0) if steps > 0 else 1.0
-    middle = torch.lerp(near, far, mid)
-    return torch.lerp(middle, near, eta), torch.lerp(middle, far, eta)
+    missing = 1 - _eta(step, steps, start)
+    if missing == 0:
+        return near, far
+    low, high = single(near), single(far)
+    # Both are means of near and far whose factors add up to 1: nothing cancels.
+    a, b = missing * mid, missing * (1 - mid)
+    new_near = (low * (1 - a) + high * a).clamp(low, high)
+    new_far = (low * b + high * (1 - b)).clamp(new_near, high)
+    return new_near.to(near.dtype), new_far.to(far.dtype)
+
+
+def _eta(step: int | float, steps: int | float, start: float) -> float:
+    return min(max(step / steps, start), 1.0) if steps > 0 else 1.0
 
 
 @dataclass
@@ -69,5 +81,19 @@ class Annealing(Regularizer):
         tuple[Float[Tensor, " rays"], Float[Tensor, " rays"]],
     ]:
         near, far = yield
-        done = step.index if isinstance(self.duration, int) else step.fraction
-        return annealed_bounds(near, far, done, self.duration, self.initial, self.mid)
+        return annealed_bounds(near, far, self._done(step), self.duration, self.initial, self.mid)
+
+    def _done(self, step: Step) -> int | float:
+        return step.index if isinstance(self.duration, int) else step.fraction
+
+    @hookimpl
+    def nerfreg_reference(self, given: Any, step: Step) -> dict[str, Any] | None:
+        if not isinstance(given, Rays):
+            return None
+        eta, mid = mpmath.mpf(_eta(self._done(step), self.duration, self.initial)), mpmath.mpf(self.mid)
+        bounds = list(zip(exact(given.near), exact(given.far), strict=True))
+        middles = [near + mid * (far - near) for near, far in bounds]
+        return {
+            "near": [m + (near - m) * eta for (near, _), m in zip(bounds, middles, strict=True)],
+            "far": [m + (far - m) * eta for (_, far), m in zip(bounds, middles, strict=True)],
+        }

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import StrEnum, auto
+from itertools import pairwise
 from typing import Any, ClassVar
 
+import mpmath
 from jaxtyping import Bool, Float
 from torch import Tensor
 
 from nerfreg import Needs, Regularizer, Rendering, Step, hookimpl
+from nerfreg.numerics import exact, single
 
 
 def depth_smoothness(
@@ -22,6 +25,7 @@ def depth_smoothness(
     depth_patches: (P, S, S). visible: (P, S, S), terms where either pixel is not visible are left out; None: all
     are. opacity: (P, S, S), a factor of the terms of pixel ij; None: 1. Patches of one pixel, and no patches, give 0.
     """
+    depth_patches = single(depth_patches)
     depth = depth_patches if visible is None else depth_patches.where(visible, 0.0)
     down = (depth[:, :-1, :-1] - depth[:, 1:, :-1]).square()
     right = (depth[:, :-1, :-1] - depth[:, :-1, 1:]).square()
@@ -72,10 +76,30 @@ class DepthSmoothness(Regularizer):
         patches = rendering.rays.patches
         if patches is None:
             return {}
-        near, far = step.bounds
-        depth = (rendering.depth[patches] - near) / (far - near)
         opacity = rendering.opacity.detach()[patches] if self.opacity_weighted else None
-        term = depth_smoothness(depth, rendering.visible[patches], opacity)
-        if self.reduction == Reduction.mean:
-            term = term / max(patches.shape[-1] - 1, 1) ** 2
-        return {"depth_smoothness": term}
+        # Normalised after the differences are taken: depths far from the origin would lose theirs by rounding.
+        term = depth_smoothness(rendering.depth[patches], rendering.visible[patches], opacity)
+        return {"depth_smoothness": term * self._factor(patches.shape[-1], step)}
+
+    def _factor(self, side: int, step: Step) -> float:
+        near, far = step.bounds
+        reduced = max(side - 1, 1) ** 2 if self.reduction == Reduction.mean else 1
+        return 1 / (far - near) ** 2 / reduced if far > near else 0.0
+
+    @property
+    def scale_free(self) -> bool:
+        return True
+
+    @hookimpl
+    def nerfreg_reference(self, given: Any, step: Step) -> dict[str, Any] | None:
+        if not isinstance(given, Rendering) or given.rays.patches is None:
+            return None
+        depth, opacity, visible = exact(given.depth), exact(given.opacity), given.visible.tolist()
+        terms = []
+        for patch in given.rays.patches.tolist():
+            for row, below in pairwise(patch):
+                for ray, right, down in zip(row, row[1:], below, strict=False):
+                    squares = [(depth[ray] - depth[to]) ** 2 for to in (right, down) if visible[ray] and visible[to]]
+                    terms.append(mpmath.fsum(squares) * (opacity[ray] if self.opacity_weighted else 1))
+        patches, side, _ = given.rays.patches.shape
+        return {"depth_smoothness": mpmath.fsum(terms) / max(patches, 1) * self._factor(side, step)}

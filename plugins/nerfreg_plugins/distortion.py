@@ -6,12 +6,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
+import mpmath
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
 from nerfreg import Regularizer, Rendering, Step, hookimpl
-from nerfreg.numerics import MIN_OPACITY
+from nerfreg.numerics import MIN_OPACITY, exact, single
 
 
 def distortion(
@@ -26,6 +27,7 @@ def distortion(
     come from the lengths, which are exact where intervals are short against t; rounded midpoints are not.
     Rays with opacity below `MIN_OPACITY` count as 0.
     """
+    weights, t_edges, depth = single(weights), single(t_edges), single(depth)
     delta = t_edges.diff(dim=-1)
     gaps = (delta[:, 1:] + delta[:, :-1]) / 2
     before = weights.cumsum(-1)[:, :-1]
@@ -62,6 +64,11 @@ class Distortion(Regularizer):
 
     @hookimpl
     def nerfreg_loss(self, rendering: Rendering, step: Step) -> dict[str, Float[Tensor, ""]]:
+        return {"distortion": distortion(*self._inputs(rendering, step))}
+
+    def _inputs(
+        self, rendering: Rendering, step: Step
+    ) -> tuple[Float[Tensor, "rays samples"], Float[Tensor, "rays edges"], Float[Tensor, " rays"]]:
         weights, t_edges, depth = rendering.weights, rendering.t_edges, rendering.depth
         if 0 < self.max_rays < len(weights):
             chosen = torch.randperm(len(weights), generator=step.generator)[: self.max_rays].to(weights.device)
@@ -73,4 +80,28 @@ class Distortion(Regularizer):
             depth = (depth - near) / (far - near) + 1e-4
         if self.detach_depth:
             depth = depth.detach()
-        return {"distortion": distortion(weights, t_edges, depth)}
+        return weights, t_edges, depth
+
+    @property
+    def scale_free(self) -> bool:
+        return True
+
+    @hookimpl
+    def nerfreg_reference(self, given: Any, step: Step) -> dict[str, Any] | None:
+        if not isinstance(given, Rendering):
+            return None
+        rays = zip(*map(exact, self._inputs(given, step)), strict=True)
+        spreads = [_reference(*ray) for ray in rays]
+        return {"distortion": mpmath.fsum(spreads) / len(spreads)}
+
+
+def _reference(weights: list[Any], t_edges: list[Any], depth: Any) -> Any:
+    """Equation 15 for one ray; the sum over pairs from running sums, whose cancellation 50 digits afford."""
+    if mpmath.fsum(weights) < MIN_OPACITY or depth <= 0:
+        return 0
+    total = weight = moment = mpmath.mpf(0)
+    for w, low, high in zip(weights, t_edges, t_edges[1:], strict=False):
+        middle = (low + high) / 2
+        total += 2 * w * (middle * weight - moment) + w**2 * (high - low) / 3
+        weight, moment = weight + w, moment + w * middle
+    return total / depth

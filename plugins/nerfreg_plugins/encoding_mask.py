@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 from enum import StrEnum, auto
 from typing import Any, ClassVar, no_type_check
 
+import mpmath
 import torch
 from jaxtyping import Float
 from torch import Tensor
@@ -81,3 +82,12 @@ class EncodingMask(Regularizer):
             kept = active_features(samples.color_width, ratio, self.fractional)
             samples = replace(samples, color_features=kept)
         return samples
+
+    @hookimpl
+    def nerfreg_reference(self, given: Any, step: Step) -> dict[str, Any] | None:
+        if not isinstance(given, Samples):
+            return None
+        ratio = mpmath.mpf(self.ratio(step.fraction))
+        counts = {"density": given.density_width, "color": given.color_width}
+        kept = {f"{network}_features": counts[network] * ratio for network in self.networks if ratio < 1}
+        return {name: count if self.fractional else mpmath.floor(count) for name, count in kept.items()}

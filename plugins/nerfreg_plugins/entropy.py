@@ -3,27 +3,38 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar
 
+import mpmath
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
 from nerfreg import Needs, Regularizer, Rendering, hookimpl
-from nerfreg.numerics import MIN_OPACITY
+from nerfreg.numerics import MIN_OPACITY, exact, single
 
 
 def ray_entropy(alphas: Float[Tensor, "rays samples"], threshold: float) -> Float[Tensor, ""]:
     """H = -sum q log q, q = alpha / sum alpha, of the rays with sum alpha > threshold; the others count as 0.
 
-    alphas: (R, N). Mean over all rays. 0 log 0 = 0, and such a sample gets no gradient. A threshold below
-    `MIN_OPACITY` is raised to it: fainter rays are empty.
+    alphas: (R, N). Mean over all rays. 0 log 0 = 0; the gradient there, infinite in truth, is that of the smallest
+    normal number. A threshold below `MIN_OPACITY` is raised to it: fainter rays are empty.
     """
+    alphas = single(alphas)
     total = alphas.sum(-1, keepdim=True)
     counted = total.detach() > max(threshold, MIN_OPACITY)
     q = alphas / torch.where(counted, total, 1.0)
-    log_q = torch.where(q > 0, q, 1.0).log()
-    return torch.where(counted, -q * log_q, 0.0).sum(-1).mean()
+    # As sum dq = 0, so is sum q dlog(q): the logarithm needs no gradient.
+    return torch.where(counted, q * _surprise(alphas.detach(), q.detach()), 0.0).sum(-1).mean()
+
+
+def _surprise(alphas: Float[Tensor, "rays samples"], q: Float[Tensor, "rays samples"]) -> Float[Tensor, "rays samples"]:
+    """-log q, also where one sample has nearly everything: then from the little that the others have."""
+    largest = alphas.argmax(-1, keepdim=True)
+    rest = alphas.scatter(-1, largest, 0.0).sum(-1, keepdim=True)
+    of_largest = torch.log1p(rest / alphas.gather(-1, largest).clamp_min(MIN_OPACITY / alphas.shape[-1]))
+    plain = -q.clamp_min(torch.finfo(q.dtype).tiny).log()
+    return torch.where(q > 0.5, of_largest, plain)
 
 
 @dataclass
@@ -54,3 +65,22 @@ class RayEntropy(Regularizer):
     @hookimpl
     def nerfreg_loss(self, rendering: Rendering) -> dict[str, Float[Tensor, ""]]:
         return {"entropy": ray_entropy(rendering.alphas, self.threshold)}
+
+    @property
+    def scale_free(self) -> bool:
+        return True
+
+    @hookimpl
+    def nerfreg_reference(self, given: Any) -> dict[str, Any] | None:
+        if not isinstance(given, Rendering):
+            return None
+        entropies = [_reference(alphas, max(self.threshold, MIN_OPACITY)) for alphas in exact(given.alphas)]
+        return {"entropy": mpmath.fsum(entropies) / len(entropies)}
+
+
+def _reference(alphas: list[Any], threshold: float) -> Any:
+    """The definition, literally."""
+    total = mpmath.fsum(alphas)
+    if total <= threshold:
+        return 0
+    return -mpmath.fsum(a / total * mpmath.log(a / total) for a in alphas if a > 0)

@@ -9,14 +9,15 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from enum import StrEnum, auto
-from typing import ClassVar
+from typing import Any, ClassVar
 
+import mpmath
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
 from nerfreg import Needs, Regularizer, Rendering, Step, hookimpl
-from nerfreg.numerics import log_alpha
+from nerfreg.numerics import double, exact, log_alpha, single
 
 MIN_LOG_Q = math.log(1e-10)
 """Floor of the neighbour's log-probability: one sample may cost at most 23 nats."""
@@ -30,22 +31,58 @@ def kl_divergence(
     log_weights, neighbor_log_weights: (M, N), -inf where a weight is 0. Normalised in log space, so that a common
     factor of all weights of a ray, however small, changes nothing. q is floored at 1e-10. A pair in which either
     ray has no weight at all counts as 0; so does an empty batch.
+
+    Rays that nearly agree must not lose the small divergence between large logarithms. As sum p = sum q = 1, D is also
+    sum (p log(p / q) - p + q), in which no term is negative but where q is floored. Computed in float64.
     """
-    log_p, empty = _log_normalized(log_weights)
-    log_q, neighbor_empty = _log_normalized(neighbor_log_weights)
-    # p log p is 0 where p is: log p leaves the product before it can make 0 times infinity, forward or backward.
-    log_ratio = torch.where(log_p > -math.inf, log_p, 0.0) - log_q.clamp_min(MIN_LOG_Q)
-    divergence = (log_p.exp() * log_ratio).sum(-1)
-    return torch.where(empty | neighbor_empty, 0.0, divergence).sum() / max(len(log_weights), 1)
+    ray, empty = _filled(double(log_weights))
+    neighbor, neighbor_empty = _filled(double(neighbor_log_weights))
+    log_p, log_q = ray.log_softmax(-1), neighbor.log_softmax(-1)
+    p, q = log_p.exp(), log_q.exp()
+    floored = log_q < MIN_LOG_Q
+    compared = (log_p > -math.inf) & ~floored
+    # Infinities leave before a product can make 0 times infinity of them, forward or backward.
+    ratio = _log_ratio(ray, neighbor, torch.where(compared, log_q, 0.0) - torch.where(compared, log_p, 0.0), p)
+    ratio = torch.where(compared, ratio, 0.0)
+    own = torch.where(floored & (p > 0), log_p, 0.0)
+    at_floor = p * (own - MIN_LOG_Q) + (q - p)
+    close = ratio.abs() < 0.5
+    apart = (q - p) - p * torch.where(close, 0.0, ratio)
+    near = p * _expm1_minus(torch.where(close, ratio, 0.0))
+    terms = torch.where(floored, at_floor, torch.where(compared & close, near, apart))
+    divergence = torch.where(empty | neighbor_empty, 0.0, terms.sum(-1)).sum() / max(len(log_weights), 1)
+    return divergence.to(single(log_weights).dtype)
 
 
-def _log_normalized(
+def _filled(
     log_weights: Float[Tensor, "pairs samples"],
 ) -> tuple[Float[Tensor, "pairs samples"], Bool[Tensor, " pairs"]]:
-    """log(w / sum w), and which rays have no weight at all (those come out uniform)."""
+    """The same with rays that have no weight at all made uniform, and which those are."""
     empty = (log_weights == -math.inf).all(-1)
-    filled = torch.where(empty[:, None], 0.0, log_weights)
-    return filled - filled.logsumexp(-1, keepdim=True), empty
+    return torch.where(empty[:, None], 0.0, log_weights), empty
+
+
+def _log_ratio(
+    ray: Float[Tensor, "pairs samples"],
+    neighbor: Float[Tensor, "pairs samples"],
+    plain: Float[Tensor, "pairs samples"],
+    p: Float[Tensor, "pairs samples"],
+) -> Float[Tensor, "pairs samples"]:
+    """log(q / p), from the differences between two rays where these are small and exact, else `plain`."""
+    both = (ray > -math.inf) & (neighbor > -math.inf)
+    difference = torch.where(both, neighbor, 0.0) - torch.where(both, ray, 0.0)
+    difference = difference - difference.gather(-1, p.argmax(-1, keepdim=True))
+    alike = ((ray > -math.inf) == (neighbor > -math.inf)).all(-1) & (difference.abs().amax(-1) < 1)
+    small = torch.where(alike[:, None] & both, difference, 0.0)
+    return torch.where(alike[:, None], small - torch.log1p((p * small.expm1()).sum(-1, keepdim=True)), plain)
+
+
+def _expm1_minus(x: Float[Tensor, "pairs samples"]) -> Float[Tensor, "pairs samples"]:
+    """exp(x) - 1 - x for abs(x) < 0.5, to full relative precision by its Taylor series."""
+    series = torch.ones_like(x)
+    for order in range(16, 2, -1):
+        series = 1 + x / order * series
+    return x.square() / 2 * series
 
 
 class Density(StrEnum):
@@ -106,11 +143,33 @@ class KLDivergence(Regularizer):
 
     @hookimpl
     def nerfreg_loss(self, rendering: Rendering, step: Step) -> dict[str, Float[Tensor, ""]]:
-        if rendering.rays.neighbors is None:
-            return {}
+        return {} if rendering.rays.neighbors is None else {"kl": kl_divergence(*self._pairs(rendering))}
+
+    def _pairs(self, rendering: Rendering) -> tuple[Float[Tensor, "pairs samples"], Float[Tensor, "pairs samples"]]:
+        assert rendering.rays.neighbors is not None
         density = rendering.log_weights if self.density == Density.weights else log_alpha(rendering.tau)
         density = density.masked_fill(~rendering.visible[:, None], -math.inf)
         ray, neighbor = density[rendering.rays.neighbors[:, 0]], density[rendering.rays.neighbors[:, 1]]
-        if self.direction == Direction.reverse:
-            ray, neighbor = neighbor, ray
-        return {"kl": kl_divergence(ray, neighbor)}
+        return (ray, neighbor) if self.direction == Direction.forward else (neighbor, ray)
+
+    @property
+    def scale_free(self) -> bool:
+        return True
+
+    @hookimpl
+    def nerfreg_reference(self, given: Any) -> dict[str, Any] | None:
+        if not isinstance(given, Rendering) or given.rays.neighbors is None:
+            return None
+        rays, neighbors = map(exact, self._pairs(given))
+        divergences = [_reference(ray, neighbor) for ray, neighbor in zip(rays, neighbors, strict=True)]
+        return {"kl": mpmath.fsum(divergences) / max(len(divergences), 1)}
+
+
+def _reference(ray: list[Any], neighbor: list[Any]) -> Any:
+    """The definition, literally."""
+    weights, others = ([mpmath.exp(x) for x in log_weights] for log_weights in (ray, neighbor))
+    total, other_total = mpmath.fsum(weights), mpmath.fsum(others)
+    if total == 0 or other_total == 0:
+        return 0
+    pairs = ((w / total, max(v / other_total, mpmath.mpf(1e-10))) for w, v in zip(weights, others, strict=True))
+    return mpmath.fsum(p * mpmath.log(p / q) for p, q in pairs if p > 0)

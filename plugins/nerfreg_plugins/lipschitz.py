@@ -4,14 +4,16 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from enum import StrEnum, auto
-from typing import ClassVar
+from typing import Any, ClassVar
 
+import mpmath
 import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from nerfreg import Regularizer, hookimpl
+from nerfreg import Regularizer, Rendering, hookimpl
 from nerfreg.field.layers import AffineLayer
+from nerfreg.numerics import exact, single
 
 
 def normalize_rows(weight: Float[Tensor, "out in"], k: Float[Tensor, ""]) -> Float[Tensor, "out in"]:
@@ -20,10 +22,14 @@ def normalize_rows(weight: Float[Tensor, "out in"], k: Float[Tensor, ""]) -> Flo
     weight: (out, in). k: scalar. The layer is then softplus(k)-Lipschitz in the maximum norm. Rows within the bound,
     rows of zeros among them, stay exactly as they are.
     """
-    bound = softplus(k)
-    row_sum = weight.abs().sum(-1, keepdim=True)
-    beyond = row_sum > bound
-    return weight * torch.where(beyond, bound / torch.where(beyond, row_sum, 1.0), 1.0)
+    bound, full = softplus(single(k)), single(weight)
+    # In units of the largest entry no sum overflows, and no share of it underflows before the bound multiplies it.
+    largest = full.detach().abs().amax(-1, keepdim=True)
+    unit = full / torch.where(largest > 0, largest, 1.0)
+    row_sum = unit.abs().sum(-1, keepdim=True)
+    beyond = row_sum * largest > bound
+    bounded = unit / torch.where(beyond, row_sum, 1.0) * bound
+    return torch.where(beyond, bounded, full).to(weight.dtype)
 
 
 def softplus(k: Float[Tensor, ""]) -> Float[Tensor, ""]:
@@ -101,3 +107,33 @@ class Lipschitz(Regularizer):
             return {}
         bounds = torch.stack([softplus(layer.k) for layer in self._layers.values()])
         return {"lipschitz": self.bound_weight * bounds.prod()}
+
+    @property
+    def scale_free(self) -> bool:
+        return True
+
+    @hookimpl
+    def nerfreg_reference(self, given: Any) -> dict[str, Any] | None:
+        if isinstance(given, Rendering):
+            bounds = [_bound(layer) for layer in self._layers.values()]
+            return {"lipschitz": self.bound_weight * mpmath.fprod(bounds)} if self.bound_weight and bounds else None
+        if not isinstance(given, LipschitzLinear):
+            return None
+        bound, rows = _bound(given), exact(given.weight)
+        sums = [mpmath.fsum(map(abs, row)) for row in rows]
+        scales = [bound / total if total > bound else 1 for total in sums]
+        return {"weight": [[scale * w for w in row] for scale, row in zip(scales, rows, strict=True)]}
+
+    @hookimpl
+    def nerfreg_contract(self) -> dict[str, float]:
+        """No row of an effective weight sums to more than its bound; the excess is relative to the bound."""
+        broken = {}
+        for (network, index), layer in self._layers.items():
+            bound = float(_bound(layer))
+            largest = float(layer.effective()[0].detach().double().abs().sum(-1).max())
+            broken[f"rows of {network} {index}"] = max(largest / bound - 1, 0.0) if bound > 0 else largest
+        return broken
+
+
+def _bound(layer: LipschitzLinear) -> Any:
+    return mpmath.log1p(mpmath.exp(exact(layer.k)))

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import StrEnum, auto
-from typing import ClassVar
+from itertools import pairwise
+from typing import Any, ClassVar
 
+import mpmath
 from jaxtyping import Float
 from torch import Tensor
 
 from nerfreg import Regularizer, Rendering, hookimpl
+from nerfreg.numerics import double, exact, single
 
 
 def occlusion(
@@ -24,7 +27,8 @@ def occlusion(
     weights: (R, N). t_edges: (R, N+1). near, far: (R,). A sample lies there if the midpoint of its interval does. A
     ray without such a sample, and a fraction of 0, give 0.
     """
-    midpoints = (t_edges[:, 1:] + t_edges[:, :-1]) / 2
+    weights, edges, near, far = single(weights), double(t_edges), double(near), double(far)
+    midpoints = (edges[:, 1:] + edges[:, :-1]) / 2
     close = midpoints < (near + fraction * (far - near))[:, None]
     return ((weights * close).sum(-1) / close.sum(-1).clamp_min(1)).mean()
 
@@ -58,6 +62,28 @@ class Occlusion(Regularizer):
 
     @hookimpl
     def nerfreg_loss(self, rendering: Rendering) -> dict[str, Float[Tensor, ""]]:
+        return {"occlusion": occlusion(*self._inputs(rendering), self.fraction)}
+
+    def _inputs(self, rendering: Rendering) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         penalised = rendering.weights if self.quantity == Quantity.weights else rendering.density
-        near, far = rendering.rays.near, rendering.rays.far
-        return {"occlusion": occlusion(penalised, rendering.t_edges, near, far, self.fraction)}
+        return penalised, rendering.t_edges, rendering.rays.near, rendering.rays.far
+
+    @property
+    def scale_free(self) -> bool:
+        return self.quantity == Quantity.weights
+
+    @hookimpl
+    def nerfreg_reference(self, given: Any) -> dict[str, Any] | None:
+        if not isinstance(given, Rendering):
+            return None
+        weights, t_edges, near, far = map(exact, self._inputs(given))
+        means = [_reference(*ray, self.fraction) for ray in zip(weights, t_edges, near, far, strict=True)]
+        return {"occlusion": mpmath.fsum(means) / len(means)}
+
+
+def _reference(penalised: list[Any], t_edges: list[Any], near: Any, far: Any, fraction: float) -> Any:
+    """The definition, literally."""
+    border = near + mpmath.mpf(fraction) * (far - near)
+    middles = [(low + high) / 2 for low, high in pairwise(t_edges)]
+    close = [value for value, middle in zip(penalised, middles, strict=True) if middle < border]
+    return mpmath.fsum(close) / max(len(close), 1)

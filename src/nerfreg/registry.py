@@ -25,6 +25,7 @@ from nerfreg.nearest import nearest
 GROUP = "nerfreg.plugins"
 HOOKS = tuple(name for name in vars(HookSpecs) if name.startswith("nerfreg_"))
 CHECK_HOOKS = ("nerfreg_reference", "nerfreg_contract")
+REFERENCE_DIGITS = 50
 
 
 @dataclass(frozen=True)
@@ -218,7 +219,10 @@ class Hooks:
 
     def reference(self, name: str, given: nn.Module | Rays | Samples | Rendering, step: Step) -> dict[str, Any]:
         """The exact values that plugin `name` ships for what it makes of `given`; empty if it ships none."""
-        answers = self._manager((name,)).hook.nerfreg_reference(given=given, step=step)
+        import mpmath
+
+        with mpmath.workdps(REFERENCE_DIGITS):
+            answers = self._manager((name,)).hook.nerfreg_reference(given=given, step=step)
         return {key: value for answer in answers for key, value in answer.items()}
 
     def contract(self, name: str, step: Step) -> dict[str, float]:

@@ -32,10 +32,26 @@ def test_by_hand(dtype, step, steps, start, mid, expected):
 
 
 def test_the_bounds_come_back_exactly(dtype):
-    near, far = torch.rand(2, 1000, dtype=dtype, generator=torch.Generator().manual_seed(0))
+    near, length = torch.rand(2, 1000, dtype=dtype, generator=torch.Generator().manual_seed(0))
+    far = near + length
     new = annealed_bounds(near, far, 7, 7, 0.5, 0.3)
     assert torch.equal(new[0], near)
     assert torch.equal(new[1], far)
+
+
+def test_the_last_steps_keep_their_digits(dtype):
+    # near 0, far 1, mid 1/2: t_n = (1 - eta) / 2 with eta = 1 - 1e-6, not a difference of two numbers near 1/2.
+    near, far = torch.zeros(1, dtype=dtype), torch.ones(1, dtype=dtype)
+    new_near, _ = annealed_bounds(near, far, 999_999, 1_000_000, 0.5, 0.5)
+    assert new_near.item() == pytest.approx(5e-7, rel=1e-6 if dtype == torch.float32 else 1e-9)
+
+
+@pytest.mark.parametrize("half", [torch.bfloat16, torch.float16])
+def test_half_precision_is_computed_in_float32(half):
+    near, far = torch.tensor([2.0], dtype=half), torch.tensor([6.0], dtype=half)
+    new = annealed_bounds(near, far, 1, 3, 0.1, 0.3)
+    for value, full in zip(new, annealed_bounds(near.float(), far.float(), 1, 3, 0.1, 0.3), strict=True):
+        assert torch.equal(value, full.to(half))
 
 
 @pytest.mark.parametrize("start", [1e-30, 1e-3, 0.9])

@@ -51,6 +51,23 @@ def test_nothing_to_compare(dtype, finite_gradients, shape):
     finite_gradients(value, patch)
 
 
+@pytest.mark.parametrize("half", [torch.bfloat16, torch.float16])
+def test_half_precision_is_computed_in_float32(half):
+    patch = torch.rand(2, 4, 4, generator=torch.Generator().manual_seed(0)).to(half)
+    assert torch.equal(depth_smoothness(patch), depth_smoothness(patch.float()))
+
+
+def test_far_away_small_differences_keep_their_digits(rendering, step, dtype):
+    # Opaque at once, at 4 + 2^-20 or 4: normalised before the difference is taken, 2^-20 / 4 would lose 3 digits.
+    tau = torch.full((4, 1), 50.0, dtype=dtype)
+    far = torch.tensor([2, 0, 0, 0], dtype=dtype) * 2.0**-20
+    edges = torch.stack([torch.full((4,), 2.0, dtype=dtype), 6 + far], dim=1)
+    made = rendering(tau, edges, patches=torch.tensor([[[0, 1], [2, 3]]]))
+    made.depth = 4 + far / 2
+    term = DepthSmoothness().nerfreg_loss(made, step())["depth_smoothness"]
+    assert term.item() == pytest.approx(2 * (2.0**-20 / 4) ** 2, rel=1e-6)
+
+
 def test_gradcheck():
     patch = torch.rand(2, 4, 4, dtype=torch.float64, generator=torch.Generator().manual_seed(0)).requires_grad_()
     assert torch.autograd.gradcheck(depth_smoothness, patch)

@@ -71,6 +71,33 @@ def test_extreme_lengths(dtype, finite_gradients, length):
     finite_gradients(distortion(weights, t_edges, t_edges[:, 1]), weights)
 
 
+@pytest.mark.parametrize("samples", [2, 48, 4096])
+@pytest.mark.parametrize(("low", "high"), [(2e-6, 6e-6), (2e6, 6e6), (10000.0, 10001.0), (0.0, 1e-9)])
+def test_against_50_digits(dtype, samples, low, high):
+    generator = torch.Generator().manual_seed(samples)
+    edges = torch.rand(1, samples + 1, dtype=torch.float64, generator=generator).sort().values
+    t_edges = (low + (high - low) * edges).to(dtype)
+    weights = torch.rand(1, samples, dtype=torch.float64, generator=generator).pow(8).to(dtype) / samples
+    depth = t_edges[:, -1]
+    with mpmath.workdps(50):
+        w, e = ([mpmath.mpf(x) for x in values[0].tolist()] for values in (weights, t_edges))
+        m = [(a + b) / 2 for a, b in pairwise(e)]
+        # sum_ij w_i w_j abs(m_i - m_j) for ascending m: 2 sum_j w_j (m_j W_<j - sum_{i<j} w_i m_i)
+        total, before, moment = mpmath.mpf(0), mpmath.mpf(0), mpmath.mpf(0)
+        for i in range(samples):
+            total += 2 * w[i] * (m[i] * before - moment) + w[i] ** 2 * (e[i + 1] - e[i]) / 3
+            before, moment = before + w[i], moment + w[i] * m[i]
+        expected = total / e[-1]
+    value = distortion(weights, t_edges, depth).item()
+    assert value == pytest.approx(float(expected), rel=1e-5 if dtype == torch.float32 else 1e-11)
+
+
+@pytest.mark.parametrize("half", [torch.bfloat16, torch.float16])
+def test_half_precision_is_computed_in_float32(half):
+    rays = [tensor.to(half) for tensor in random_rays()]
+    assert torch.equal(distortion(*rays), distortion(*(tensor.float() for tensor in rays)))
+
+
 def test_one_sample(dtype, finite_gradients):
     # No gap; 1/3 w^2 delta / d = 1/3 * 1/4 * 2 / 2.
     weights = torch.tensor([[0.5]], dtype=dtype, requires_grad=True)

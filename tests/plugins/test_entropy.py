@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import math
 
+import mpmath
 import pytest
 import torch
 from nerfreg_plugins.entropy import RayEntropy, ray_entropy
@@ -34,6 +35,31 @@ def test_samples_of_almost_nothing(dtype, finite_gradients, small, threshold):
     # The second ray is empty at any threshold; -q log q of the first is below 1e-18.
     assert value.item() == pytest.approx(0, abs=1e-18)
     finite_gradients(value, alphas)
+
+
+@pytest.mark.parametrize("small", [1e-30, 1e-12, 1e-8, 1e-3])
+def test_one_sample_with_nearly_everything(dtype, small):
+    # q of the first sample is 1 to all digits, yet -q log q = 3 small, beside -3 q log q of the other three.
+    alphas = torch.tensor([[1.0, small, small, small]], dtype=dtype)
+    with mpmath.workdps(50):
+        exact = [mpmath.mpf(x) / mpmath.fsum(alphas[0].tolist()) for x in alphas[0].tolist()]
+        expected = -mpmath.fsum(q * mpmath.log(q) for q in exact)
+    assert ray_entropy(alphas, 0.1).item() == pytest.approx(
+        float(expected), rel=1e-6 if dtype == torch.float32 else 1e-14
+    )
+
+
+def test_a_sample_of_nothing_would_raise_the_entropy(dtype, finite_gradients):
+    # dH / dalpha_i = (-log q_i - H) / sum alpha: infinite at 0, here with q_i of the smallest normal number.
+    alphas = torch.tensor([[0.5, 0.5, 0.0]], dtype=dtype, requires_grad=True)
+    [grad] = finite_gradients(ray_entropy(alphas, 0.1), alphas)
+    assert grad[0].tolist() == pytest.approx([0, 0, -math.log(torch.finfo(dtype).tiny) - math.log(2)], rel=1e-6, abs=1e-6)
+
+
+@pytest.mark.parametrize("half", [torch.bfloat16, torch.float16])
+def test_half_precision_is_computed_in_float32(half):
+    alphas = torch.rand(3, 5, generator=torch.Generator().manual_seed(1)).to(half)
+    assert torch.equal(ray_entropy(alphas, 0.1), ray_entropy(alphas.float(), 0.1))
 
 
 def test_gradcheck():

@@ -39,6 +39,23 @@ def test_extremes(dtype, finite_gradients, tau):
     finite_gradients(value, thickness)
 
 
+@pytest.mark.parametrize("missing", [1e-3, 1e-7, 1e-15, 1e-18])
+def test_weights_that_sum_to_nearly_one(dtype, finite_gradients, missing):
+    # 1 - (1 + missing): float32 cannot even hold that sum; what is left over must still be right.
+    weights = torch.tensor([[0.5, 0.25, missing, 0.25]], dtype=dtype, requires_grad=True)
+    given = weights[0, 2].item()
+    value = full_geometry(weights)
+    assert value.item() == pytest.approx(given**2, rel=1e-6 if dtype == torch.float32 else 1e-14)
+    assert finite_gradients(value, weights)[0].tolist() == [pytest.approx([2 * given] * 4)]
+
+
+@pytest.mark.parametrize("half", [torch.bfloat16, torch.float16])
+def test_half_precision_is_computed_in_float32(half):
+    x = torch.rand(3, 5, generator=torch.Generator().manual_seed(1)).to(half)
+    for loss in (full_geometry, full_geometry_of_thickness):
+        assert torch.equal(loss(x), loss(x.float()))
+
+
 def test_gradcheck():
     x = torch.rand(3, 4, dtype=torch.float64, generator=torch.Generator().manual_seed(0)).requires_grad_()
     assert torch.autograd.gradcheck(full_geometry, x)

@@ -33,7 +33,7 @@ def test_weights_that_underflow_have_a_true_divergence(dtype, finite_gradients):
     ray = torch.tensor([raw_p], dtype=dtype, requires_grad=True)
     neighbor = torch.tensor([raw_q], dtype=dtype, requires_grad=True)
     value = kl_divergence(ray, neighbor)
-    assert value.item() == pytest.approx(float(expected), rel=1e-3 if dtype == torch.float32 else 1e-11)
+    assert value.item() == pytest.approx(float(expected), rel=1e-6 if dtype == torch.float32 else 1e-11)
     finite_gradients(value, ray, neighbor)
 
 
@@ -52,6 +52,37 @@ def test_a_pair_with_an_empty_ray_is_0_and_still_counts(dtype, finite_gradients,
     for grad in finite_gradients(value, ray, neighbor):
         assert (grad[1] == 0).all()
         assert (grad[0] != 0).all()
+
+
+@pytest.mark.parametrize("offset", [0.0, -3.0, -100.0])
+@pytest.mark.parametrize("apart", [1e-1, 1e-4, 1e-6])
+def test_neighbours_that_nearly_agree_keep_their_digits(dtype, finite_gradients, apart, offset):
+    # D is about the variance of the difference, down to 1e-13, between logarithms of up to 100. A common factor of the
+    # neighbour's weights (the offset) is rounded together with them, so float64 knows their difference to 1e-14 only.
+    generator = torch.Generator().manual_seed(0)
+    ray = (-5 * torch.rand(1, 48, dtype=torch.float64, generator=generator)).to(dtype)
+    neighbor = (ray.double() + offset + apart * torch.randn(1, 48, dtype=torch.float64, generator=generator)).to(dtype)
+    with mpmath.workdps(50):
+        p, q = ([mpmath.exp(x) for x in log_weights[0].tolist()] for log_weights in (ray, neighbor))
+        p, q = ([x / mpmath.fsum(values) for x in values] for values in (p, q))
+        expected = mpmath.fsum(a * mpmath.log(a / b) for a, b in zip(p, q, strict=True))
+    ray.requires_grad_(), neighbor.requires_grad_()
+    value = kl_divergence(ray, neighbor)
+    assert expected > 0
+    exact = offset == 0 or dtype == torch.float32
+    assert value.item() == pytest.approx(float(expected), rel=1e-11 if exact and dtype == torch.float64 else 1e-5)
+    finite_gradients(value, ray, neighbor)
+
+
+def test_equal_rays_have_no_divergence(dtype):
+    ray = torch.randn(4, 48, dtype=dtype, generator=torch.Generator().manual_seed(0))
+    assert kl_divergence(ray, ray) == 0
+
+
+@pytest.mark.parametrize("half", [torch.bfloat16, torch.float16])
+def test_half_precision_is_computed_in_float32(half):
+    p, q = torch.randn(2, 3, 5, generator=torch.Generator().manual_seed(1)).to(half)
+    assert torch.equal(kl_divergence(p, q), kl_divergence(p.float(), q.float()))
 
 
 def test_no_pairs(dtype):

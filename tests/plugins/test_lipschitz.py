@@ -37,6 +37,25 @@ def test_extreme_bounds_and_rows(dtype, finite_gradients, k, scale):
     assert (rows[1] == 0).all()
 
 
+@pytest.mark.parametrize("k", [-50.0, 0.0, 1e4])
+def test_huge_rows_come_down_to_the_bound(finite_gradients, k):
+    # Four entries of 1e38 overflow float32 in their sum: each becomes a quarter of the bound.
+    weight = torch.full((1, 4), 1e38, requires_grad=True)
+    bound = torch.tensor(k, requires_grad=True)
+    rows = normalize_rows(weight, bound)
+    exact = k if k > 50 else math.log1p(math.exp(k))
+    assert rows[0].tolist() == pytest.approx([exact / 4] * 4, rel=1e-6)
+    # The row is as long as its bound: d softplus(k) / dk = 1 / (1 + exp(-k)).
+    assert finite_gradients(rows.sum(), weight, bound)[1].item() == pytest.approx(1 / (1 + math.exp(-k)), rel=1e-5)
+
+
+@pytest.mark.parametrize("half", [torch.bfloat16, torch.float16])
+def test_half_precision_is_computed_in_float32(half):
+    weight = torch.randn(5, 3, generator=torch.Generator().manual_seed(0)).to(half)
+    k = torch.tensor(0.5, dtype=half)
+    assert torch.equal(normalize_rows(weight, k), normalize_rows(weight.float(), k.float()).to(half))
+
+
 @pytest.mark.parametrize("k", [-50.0, -5.0, 21.0, 1e4])
 def test_softplus_is_exact(k):
     # torch's own is linear from 20 on, where log(1 + exp(21)) still differs from 21 by 7.6e-10.

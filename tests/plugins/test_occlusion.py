@@ -54,6 +54,20 @@ def test_gradcheck_and_doubling_the_batch():
     torch.testing.assert_close(occlusion(*double, 0.5), occlusion(weights, edges, near, far, 0.5))
 
 
+@pytest.mark.parametrize("half", [torch.bfloat16, torch.float16])
+def test_half_precision_is_computed_in_float32(half):
+    rays = four_samples([[0.4, 0.2, 0.1, 0.3]], half)
+    assert torch.equal(occlusion(*rays, 0.5), occlusion(*(tensor.float() for tensor in rays), 0.5))
+
+
+def test_far_away_the_border_is_exact(dtype):
+    # Between 10000 and 10001 float32 steps by 1/1024: the midpoint 1/2048 below the border needs one digit more.
+    ulp = 1 / 1024
+    edges = torch.tensor([[10000.5 - ulp, 10000.5, 10000.5 + ulp]], dtype=dtype)
+    near, far = torch.tensor([10000.0], dtype=dtype), torch.tensor([10001.0], dtype=dtype)
+    assert occlusion(torch.tensor([[0.25, 0.5]], dtype=dtype), edges, near, far, 0.5).item() == 0.25
+
+
 def test_loss(rendering):
     # Four intervals of length 1 with tau 2: the first weight is 1 - exp(-2), the first density 2.
     made = rendering(torch.full((3, 4), 2.0))

@@ -13,7 +13,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from nerfreg.numerics import MIN_OPACITY
+from nerfreg.numerics import MIN_OPACITY, single
 
 
 @dataclass
@@ -33,6 +33,7 @@ def integrate(sigma: Float[Tensor, "rays samples"], t_edges: Float[Tensor, "rays
 
     Depth is the mean interval midpoint under the weights; an empty ray (opacity < 1e-4) has the depth of its far end.
     """
+    sigma, t_edges = single(sigma), single(t_edges)
     tau = sigma * t_edges.diff(dim=1)
     zero = tau.new_zeros(len(tau), 1)
     log_transmittance = -torch.cat([zero, tau[:, :-1].cumsum(dim=1)], dim=1)
@@ -56,9 +57,9 @@ def composite(
     background: what shines through where opacity is below 1; None adds nothing. See `integrate` for the rest.
     """
     result = integrate(sigma, t_edges)
-    result.rgb = (result.weights[..., None] * rgb).sum(dim=1)
+    result.rgb = (result.weights[..., None] * single(rgb)).sum(dim=1)
     if background is not None:
-        result.rgb = result.rgb + transmittance(result.tau)[:, None] * background
+        result.rgb = result.rgb + transmittance(result.tau)[:, None] * single(background)
     return result
 
 
