@@ -28,9 +28,10 @@ def test_a_run_leaves_what_the_design_lists(run: Path, capsys: pytest.CaptureFix
     results = json.loads((run / "results.json").read_text())
     wanted = {
         "psnr", "ssim", "lpips", "average", "depth_rmse", "step", "train_seconds", "points_per_second",
-        "peak_memory_mb", "seed", "regularizers", "views", "scene", "versions",
+        "peak_memory_mb", "seed", "regularizers", "views", "scene", "versions", "skipped_steps",
     }  # fmt: skip
     assert wanted <= set(results)
+    assert results["skipped_steps"] == 0 and not (run / "nonfinite").exists()
     assert results["step"] == 20 and results["views"] == 3 and results["seed"] == 0
     assert set(results["regularizers"]) == {"distortion", "lipschitz"}
     assert results["points_per_second"] * results["train_seconds"] == pytest.approx(20 * 128 * 32, rel=1e-2)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 from omegaconf import DictConfig, OmegaConf
 
@@ -20,19 +21,30 @@ def read_run(folder: Path, overrides: Sequence[str] = ()) -> Config:
     path = folder / ".hydra" / "config.yaml"
     if not path.is_file():
         raise NerfregError(f"{folder}: not the folder of a run (no .hydra/config.yaml in it)")
+    try:
+        saved = OmegaConf.load(path)
+    except COMPOSITION_ERRORS as error:
+        raise NerfregError(f"{path}: {explain(error, ())}") from error
+    return restored(saved, str(path), overrides)
+
+
+def restored(saved: Any, source: str, overrides: Sequence[str] = ()) -> Config:
+    """A configuration as it was saved, with its types, changed by `key=value` overrides.
+
+    source: the file it comes from, for messages. Raises NerfregError where its plugins are not installed.
+    """
     for override in overrides:
         if "=" not in override:
             raise NerfregError(f"'{override}' is no override; write key=value")
     plugins = register()
     classes = {plugin.name: plugin.cls for plugin in plugins}
     try:
-        saved = OmegaConf.load(path)
         schema: DictConfig = OmegaConf.structured(Config)
         schema.scene = scene_schema(str(OmegaConf.select(saved, "scene.format")))
         for name in OmegaConf.select(saved, "reg", default={}):
             cls = classes.get(name)
             if cls is None:
-                raise NerfregError(f"{path}: reg.{name} is not installed here; see `nerfreg plugins`")
+                raise NerfregError(f"{source}: reg.{name} is not installed here; see `nerfreg plugins`")
             schema.reg[name] = plugin_schema(name, cls)
         known = OmegaConf.merge(schema, saved)
         OmegaConf.set_struct(known, True)
@@ -40,4 +52,4 @@ def read_run(folder: Path, overrides: Sequence[str] = ()) -> Config:
         assert isinstance(merged, DictConfig)
         return validated(merged)
     except (*COMPOSITION_ERRORS, KeyError) as error:
-        raise NerfregError(f"{path}: {explain(error, plugins)}") from error
+        raise NerfregError(f"{source}: {explain(error, plugins)}") from error

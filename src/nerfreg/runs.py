@@ -15,7 +15,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from nerfreg.config import Config
-from nerfreg.errors import NerfregError
+from nerfreg.errors import NerfregError, NonFiniteError
 from nerfreg.evaluation.config import EvalConfig, subset_of
 from nerfreg.evaluation.images import depth_image, save_png, side_by_side
 from nerfreg.evaluation.lpips import load_lpips
@@ -28,9 +28,13 @@ from nerfreg.registry import Hooks, Term
 from nerfreg.rendering.views import View, ViewRenderer
 from nerfreg.run_config import read_run
 from nerfreg.scenes import Scene, load_scene
+from nerfreg.stability.checked_hooks import CheckedHooks
 from nerfreg.training.checkpoint import State, load_checkpoint, save_checkpoint
+from nerfreg.training.guard import Guard
+from nerfreg.training.loss import label
 from nerfreg.training.memory import keep_large_blocks, peak_memory_mb
 from nerfreg.training.progress import Progress
+from nerfreg.training.recording import Recorder
 from nerfreg.training.trainer import Trainer
 
 RENDERS = "renders"
@@ -47,16 +51,30 @@ def train(config: Config, folder: Path) -> dict[str, Any]:
     scene = load_scene(config.scene)
     lpips = load_lpips(config.eval.lpips_weights) if config.eval.lpips else None
     device = prepare(config)
-    hooks = Hooks(config.reg)
-    trainer = Trainer(scene, hooks, config.field, config.sampler, config.optim, config.train, config.seed, device)
+    progress = Progress(config.train.quiet)
+    trainer = Trainer(
+        scene,
+        CheckedHooks(config.reg, config.train.check_every) if config.train.check else Hooks(config.reg),
+        config.field,
+        config.sampler,
+        config.optim,
+        config.train,
+        config.seed,
+        device,
+        Guard(Recorder(folder, config), progress.warning),
+    )
     budget = trainer.budget
     (folder / METRICS).unlink(missing_ok=True)
     due = list(config.eval.times(config.train.seconds, config.train.steps))
     subset = subset_of(scene.test, config.eval.subset_size)
     psnr: float | None = None
-    with Progress(config.train.quiet) as progress:
+    with progress:
         while budget.fraction < 1:
-            terms = trainer.step()
+            try:
+                terms = trainer.step()
+            except NonFiniteError:
+                _save(folder, trainer)
+                raise
             progress.update(budget.step, budget.fraction, losses(terms), psnr)
             if due[0] <= budget.fraction < 1:
                 due = [share for share in due if share > budget.fraction]
@@ -67,9 +85,9 @@ def train(config: Config, folder: Path) -> dict[str, Any]:
                     )
                 psnr = scores.psnr
                 append_metrics(folder, _record(trainer, scores, terms))
+        _save(folder, trainer)
+        progress.message(f"scoring {len(scene.test)} test views")
         with trainer.average.applied():
-            save_checkpoint(folder, trainer.field, State(budget.step, budget.seconds, trainer.renderer.points))
-            progress.message(f"scoring {len(scene.test)} test views")
             scores = score_views(scene, scene.test, _saving(trainer.field, config, scene, folder), lpips)
     record = _record(trainer, scores, terms)
     append_metrics(folder, record)
@@ -152,7 +170,7 @@ def prepare(config: Config) -> torch.device:
 
 def losses(terms: Sequence[Term]) -> dict[str, Tensor]:
     """Unweighted terms by name; a plugin with several names them `plugin.term`."""
-    return {t.name if t.name == t.plugin else f"{t.plugin}.{t.name}": t.value for t in terms}
+    return {label(term): term.value for term in terms}
 
 
 def summary(results: dict[str, Any]) -> Iterator[str]:
@@ -165,6 +183,14 @@ def summary(results: dict[str, Any]) -> Iterator[str]:
     )
 
 
+def _save(folder: Path, trainer: Trainer) -> None:
+    """The averaged weights, as they are evaluated."""
+    budget = trainer.budget
+    with trainer.average.applied():
+        state = State(budget.step, budget.seconds, trainer.renderer.points, trainer.guard.skipped)
+        save_checkpoint(folder, trainer.field, state)
+
+
 def _record(trainer: Trainer, scores: Scores, terms: Sequence[Term]) -> dict[str, Any]:
     """One line of `metrics.jsonl`."""
     budget, points = trainer.budget, trainer.renderer.points
@@ -173,6 +199,7 @@ def _record(trainer: Trainer, scores: Scores, terms: Sequence[Term]) -> dict[str
         "train_seconds": round(budget.seconds, 3),
         "points": points,
         "points_per_second": points / max(budget.seconds, 1e-9),
+        "skipped_steps": trainer.guard.skipped,
         **scores.record(),
         "losses": {name: float(value) for name, value in losses(terms).items()},
     }

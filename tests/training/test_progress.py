@@ -106,3 +106,11 @@ def test_brackets_in_messages_are_not_markup():
     out = io.StringIO()
     Progress(console=Console(file=out)).message("reg=[kl] at 0.5")
     assert out.getvalue() == "reg=[kl] at 0.5\n"
+
+
+def test_warnings_are_said_in_a_quiet_run_too():
+    out = io.StringIO()
+    progress = Progress(quiet=True, console=Console(file=out))
+    progress.message("scoring")
+    progress.warning("step 3 left out")
+    assert out.getvalue() == "step 3 left out\n"

@@ -7,27 +7,10 @@ from collections.abc import Callable
 import pytest
 import torch
 
-from nerfreg.config import Config
 from nerfreg.field.network import Network
 from nerfreg.hooks import Rendering
-from nerfreg.registry import Hooks
-from nerfreg.scenes import Scene, load_scene
-from nerfreg.training.trainer import Trainer, color_error
-
-SMALL = (
-    "scene.size=24", "scene.views=3", "scene.test_views=1", "field.levels=4", "field.finest=64",
-    "field.log2_entries=12", "sampler.coarse=16", "sampler.fine=16", "train.rays=128", "train.steps=40",
-)  # fmt: skip
-
-
-@pytest.fixture
-def make(compose: Callable[..., Config]) -> Callable[..., Trainer]:
-    def make(*overrides: str) -> Trainer:
-        config = compose(*SMALL, *overrides)
-        scene: Scene = load_scene(config.scene)
-        return Trainer(scene, Hooks(config.reg), config.field, config.sampler, config.optim, config.train, config.seed)
-
-    return make
+from nerfreg.training.loss import color_error
+from nerfreg.training.trainer import Trainer
 
 
 def color_errors(trainer: Trainer, steps: int) -> list[float]:

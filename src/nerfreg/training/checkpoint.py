@@ -19,11 +19,15 @@ STATE = "state.json"
 
 @dataclass(frozen=True)
 class State:
-    """Where a run stood when its weights were saved. points: evaluations of the density in training so far."""
+    """Where a run stood when its weights were saved.
+
+    points: evaluations of the density in training so far. skipped_steps: steps left out, see `Guard`.
+    """
 
     step: int
     train_seconds: float
     points: int
+    skipped_steps: int = 0
 
 
 def save_checkpoint(run: Path, field: RadianceField, state: State) -> None:

@@ -71,7 +71,11 @@ class Progress:
     def message(self, text: str) -> None:
         """Say something above the bar."""
         if not self._quiet:
-            self._console.print(text, highlight=False, markup=False, soft_wrap=True)
+            self.warning(text)
+
+    def warning(self, text: str) -> None:
+        """Say something above the bar, in a quiet run too."""
+        self._console.print(text, highlight=False, markup=False, soft_wrap=True)
 
     def _show(self, now: float) -> None:
         assert self._latest is not None

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import torch
-from jaxtyping import Float
-from torch import Tensor
 
 from nerfreg.field import FieldConfig, RadianceField
-from nerfreg.hooks import Rendering, Step
+from nerfreg.hooks import Step
 from nerfreg.rays import RayBatches
 from nerfreg.registry import Hooks, Term
 from nerfreg.rendering.config import SamplerConfig
@@ -16,9 +14,9 @@ from nerfreg.scenes.scene import Scene
 from nerfreg.training.averaging import MovingAverage
 from nerfreg.training.budget import Budget
 from nerfreg.training.config import OptimConfig, TrainConfig
-
-COLOR = "color"
-"""Name of the loss term that every run has: the mean squared error of the colours."""
+from nerfreg.training.faults import Batch, usable
+from nerfreg.training.guard import Guard
+from nerfreg.training.loss import loss_terms, total_loss
 
 
 class Trainer:
@@ -37,6 +35,7 @@ class Trainer:
         train: TrainConfig,
         seed: int = 0,
         device: torch.device | None = None,
+        guard: Guard | None = None,
     ) -> None:
         device = device or torch.device("cpu")
         torch.manual_seed(seed)
@@ -52,6 +51,7 @@ class Trainer:
         )
         self.average = MovingAverage(self.field, optim.ema)
         self.budget = Budget(train)
+        self.guard = guard or Guard()
         self.warm_up()
 
     def warm_up(self) -> None:
@@ -61,20 +61,38 @@ class Trainer:
         self.field.zero_grad(set_to_none=True)
 
     def step(self) -> list[Term]:
-        """Train one step; returns the terms of its loss, unweighted."""
+        """Train one step; returns the terms of its loss, unweighted.
+
+        A loss or gradient that is not finite changes neither the weights nor what Adam and the moving average
+        remember. Raises NonFiniteError if that happens three times in a row.
+        """
         with self.budget.spend():
             step = self._step()
             rays = self.batches.draw(self.hooks.needs(step))
-            rendering = self.renderer.render(rays, step)
-            terms = [Term(COLOR, COLOR, 1.0, color_error(rendering)), *self.hooks.losses(rendering, step)]
-            total = torch.stack([term.weight * term.value for term in terms]).sum()
+            chance = self.generator.get_state()
+            terms = loss_terms(self.renderer.render(rays, step), self.hooks, step)
+            total = total_loss(terms)
             self.optimizer.zero_grad(set_to_none=True)
             total.backward()
-            for group in self.optimizer.param_groups:
-                group["lr"] = self.optim.lr * self.optim.decay**step.fraction
-            self.optimizer.step()
-            self.average.update()
-            return [Term(term.plugin, term.name, term.weight, term.value.detach()) for term in terms]
+            finite = usable(total.detach(), self.field.parameters())
+            if finite:
+                self._apply(step)
+        terms = [Term(term.plugin, term.name, term.weight, term.value.detach()) for term in terms]
+        if finite:
+            self.guard.passed()
+        else:
+            self.optimizer.zero_grad(set_to_none=True)
+            batch = Batch(rays, step.index, step.total, step.fraction, step.bounds, chance)
+            again = Renderer(self.field, self.renderer.sampler, self.hooks)
+            self.guard.refused(batch, terms, again, self.hooks, self.scene.box)
+        return terms
+
+    def _apply(self, step: Step) -> None:
+        # Nothing has to be looked at after this: see OptimConfig for why Adam makes finite weights of such gradients.
+        for group in self.optimizer.param_groups:
+            group["lr"] = self.optim.lr * self.optim.decay**step.fraction
+        self.optimizer.step()
+        self.average.update()
 
     def _step(self) -> Step:
         step = Step(
@@ -86,10 +104,3 @@ class Trainer:
             rerender=lambda rendering: self.renderer.rerender(rendering, step),
         )
         return step
-
-
-def color_error(rendering: Rendering) -> Float[Tensor, ""]:
-    """Mean squared error of the rays that have a target, weighted by `Rays.target_weights`."""
-    rays = rendering.rays
-    errors = (rendering.rgb[: len(rays.targets)] - rays.targets).square().mean(dim=1)
-    return errors.mean() if rays.target_weights is None else (rays.target_weights * errors).mean()
