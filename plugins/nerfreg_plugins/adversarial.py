@@ -171,10 +171,11 @@ class Adversarial(Regularizer):
 
     @hookimpl
     def nerfreg_contract(self, step: Step) -> dict[str, float]:
-        """Every perturbation lies in its ball; the excess is relative to the radius."""
+        """Every perturbation lies in its ball; the excess is relative to the radius, and absolute where that is 0."""
         radii = self._radii(step)
-        sizes = {name: float(delta.detach().double().abs().max()) for name, delta in self._deltas.items()}
-        return {f"ball of {name}": max(size / radii[name] - 1, 0.0) for name, size in sizes.items()}
+        moved = {name: delta.detach().double().abs() for name, delta in self._deltas.items() if delta.numel()}
+        excess = {name: float(size.max()) - radii[name] for name, size in moved.items()}
+        return {f"ball of {name}": max(over, 0.0) / (radii[name] or 1.0) for name, over in excess.items()}
 
     def _set(self, deltas: dict[str, Tensor]) -> None:
         self._deltas = deltas

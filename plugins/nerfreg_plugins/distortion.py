@@ -84,7 +84,7 @@ class Distortion(Regularizer):
 
     @property
     def scale_free(self) -> bool:
-        return True
+        return not self.unit_depth
 
     @hookimpl
     def nerfreg_reference(self, given: Any, step: Step) -> dict[str, Any] | None:
@@ -96,7 +96,7 @@ class Distortion(Regularizer):
 
 
 def _reference(weights: list[Any], t_edges: list[Any], depth: Any) -> Any:
-    """Equation 15 for one ray; the sum over pairs from running sums, whose cancellation 50 digits afford."""
+    """Equation 15 for one ray; the sum over pairs from running sums, whose cancellation so many digits afford."""
     if mpmath.fsum(weights) < MIN_OPACITY or depth <= 0:
         return 0
     total = weight = moment = mpmath.mpf(0)

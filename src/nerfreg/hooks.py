@@ -256,7 +256,7 @@ class HookSpecs:
         Of a Rendering, the terms that `nerfreg_loss` returns, by name. Of Rays, "near" and "far". Of Samples, those of
         its attributes that the plugin changes, by name. Of a layer that `nerfreg_layer` made, "weight" and "bias" as
         `AffineLayer.effective` returns them. The tensors given count as exact (`nerfreg.numerics.exact` makes mpmath
-        numbers of them; 50 digits are set); the values are numbers or nested lists of numbers.
+        numbers of them; 150 digits are set); the values are numbers or nested lists of numbers.
         """
 
     @hookspec

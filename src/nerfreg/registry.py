@@ -25,7 +25,7 @@ from nerfreg.nearest import nearest
 GROUP = "nerfreg.plugins"
 HOOKS = tuple(name for name in vars(HookSpecs) if name.startswith("nerfreg_"))
 CHECK_HOOKS = ("nerfreg_reference", "nerfreg_contract")
-REFERENCE_DIGITS = 50
+REFERENCE_DIGITS = 150
 
 
 @dataclass(frozen=True)
