@@ -21,6 +21,8 @@ from nerfreg.numerics import double, exact, log_alpha, single
 
 MIN_LOG_Q = math.log(1e-10)
 """Floor of the neighbour's log-probability: one sample may cost at most 23 nats."""
+SERIES = 0.05
+"""Below this log(q / p), q - p - p log(q / p) has lost digits, and its series has not."""
 
 
 def kl_divergence(
@@ -37,21 +39,8 @@ def kl_divergence(
     """
     ray, empty = _filled(double(log_weights))
     neighbor, neighbor_empty = _filled(double(neighbor_log_weights))
-    log_p, log_q = ray.log_softmax(-1), neighbor.log_softmax(-1)
-    p, q = log_p.exp(), log_q.exp()
-    floored = log_q < MIN_LOG_Q
-    compared = (log_p > -math.inf) & ~floored
-    # Infinities leave before a product can make 0 times infinity of them, forward or backward.
-    ratio = _log_ratio(ray, neighbor, torch.where(compared, log_q, 0.0) - torch.where(compared, log_p, 0.0), p)
-    ratio = torch.where(compared, ratio, 0.0)
-    own = torch.where(floored & (p > 0), log_p, 0.0)
-    at_floor = p * (own - MIN_LOG_Q) + (q - p)
-    close = ratio.abs() < 0.5
-    apart = (q - p) - p * torch.where(close, 0.0, ratio)
-    near = p * _expm1_minus(torch.where(close, ratio, 0.0))
-    terms = torch.where(floored, at_floor, torch.where(compared & close, near, apart))
-    divergence = torch.where(empty | neighbor_empty, 0.0, terms.sum(-1)).sum() / max(len(log_weights), 1)
-    return divergence.to(single(log_weights).dtype)
+    divergence = torch.where(empty | neighbor_empty, 0.0, _Divergence.apply(ray, neighbor))
+    return (divergence.sum() / max(len(log_weights), 1)).to(single(log_weights).dtype)
 
 
 def _filled(
@@ -62,6 +51,30 @@ def _filled(
     return torch.where(empty[:, None], 0.0, log_weights), empty
 
 
+class _Divergence(torch.autograd.Function):
+    """D of each pair. Its gradient, dD = sum dp log(p / q) - sum p dlog(q), needs nothing of how D keeps its digits."""
+
+    @staticmethod
+    def forward(ctx: Any, ray: Tensor, neighbor: Tensor) -> Tensor:
+        log_p, log_q = ray.log_softmax(-1), neighbor.log_softmax(-1)
+        p, q, floored = log_p.exp(), log_q.exp(), log_q < MIN_LOG_Q
+        ctx.save_for_backward(log_p, log_q, p, q)
+        compared = (p > 0) & ~floored
+        ratio = torch.where(compared, _log_ratio(ray, neighbor, log_q - log_p, p), 0.0)
+        apart = torch.where(ratio.abs() < SERIES, p * _expm1_minus(ratio), (q - p) - p * ratio)
+        at_floor = p * (log_p.clamp_min(torch.finfo(log_p.dtype).min) - MIN_LOG_Q) + (q - p)
+        return torch.where(compared, apart, torch.where(floored, at_floor, q)).sum(-1)
+
+    @staticmethod
+    def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor, Tensor]:
+        log_p, log_q, p, q = ctx.saved_tensors
+        cost = torch.where(p > 0, log_p - log_q.clamp_min(MIN_LOG_Q), 0.0)
+        free = torch.where(log_q < MIN_LOG_Q, 0.0, p)
+        grad = grads[0][:, None]
+        ray_grad = p * (cost - (p * cost).sum(-1, keepdim=True))
+        return grad * ray_grad, grad * (q * free.sum(-1, keepdim=True) - free)
+
+
 def _log_ratio(
     ray: Float[Tensor, "pairs samples"],
     neighbor: Float[Tensor, "pairs samples"],
@@ -69,18 +82,18 @@ def _log_ratio(
     p: Float[Tensor, "pairs samples"],
 ) -> Float[Tensor, "pairs samples"]:
     """log(q / p), from the differences between two rays where these are small and exact, else `plain`."""
-    both = (ray > -math.inf) & (neighbor > -math.inf)
-    difference = torch.where(both, neighbor, 0.0) - torch.where(both, ray, 0.0)
+    # Where both are -inf the difference is nan, and counts as none.
+    difference = (neighbor - ray).nan_to_num(nan=0.0, posinf=math.inf, neginf=-math.inf)
     difference = difference - difference.gather(-1, p.argmax(-1, keepdim=True))
-    alike = ((ray > -math.inf) == (neighbor > -math.inf)).all(-1) & (difference.abs().amax(-1) < 1)
-    small = torch.where(alike[:, None] & both, difference, 0.0)
-    return torch.where(alike[:, None], small - torch.log1p((p * small.expm1()).sum(-1, keepdim=True)), plain)
+    alike = difference.abs().amax(-1, keepdim=True) < 1
+    small = torch.where(alike & (p > 0), difference, 0.0)
+    return torch.where(alike, small - torch.log1p((p * small.expm1()).sum(-1, keepdim=True)), plain)
 
 
 def _expm1_minus(x: Float[Tensor, "pairs samples"]) -> Float[Tensor, "pairs samples"]:
-    """exp(x) - 1 - x for abs(x) < 0.5, to full relative precision by its Taylor series."""
+    """exp(x) - 1 - x for abs(x) < SERIES, to 1e-14 by its Taylor series."""
     series = torch.ones_like(x)
-    for order in range(16, 2, -1):
+    for order in range(10, 2, -1):
         series = 1 + x / order * series
     return x.square() / 2 * series
 

@@ -53,7 +53,9 @@ def test_a_sample_of_nothing_would_raise_the_entropy(dtype, finite_gradients):
     # dH / dalpha_i = (-log q_i - H) / sum alpha: infinite at 0, here with q_i of the smallest normal number.
     alphas = torch.tensor([[0.5, 0.5, 0.0]], dtype=dtype, requires_grad=True)
     [grad] = finite_gradients(ray_entropy(alphas, 0.1), alphas)
-    assert grad[0].tolist() == pytest.approx([0, 0, -math.log(torch.finfo(dtype).tiny) - math.log(2)], rel=1e-6, abs=1e-6)
+    assert grad[0].tolist() == pytest.approx(
+        [0, 0, -math.log(torch.finfo(dtype).tiny) - math.log(2)], rel=1e-6, abs=1e-6
+    )
 
 
 @pytest.mark.parametrize("half", [torch.bfloat16, torch.float16])

@@ -22,7 +22,7 @@ def stratified(
     spacing: equal in distance ("linear") or in its reciprocal ("disparity"). Without a generator the parts' midpoints.
     """
     offsets = _offsets((len(near), count), near, generator)
-    u = (torch.arange(count, device=near.device) + offsets) / count
+    u = (torch.arange(count, dtype=near.dtype, device=near.device) + offsets) / count
     if spacing == "disparity":
         return 1 / torch.lerp(1 / near[:, None], 1 / far[:, None], u)
     return torch.lerp(near[:, None], far[:, None], u)
@@ -47,7 +47,7 @@ def importance(
     """
     cdf = torch.cumsum(weights + PDF_FLOOR, dim=1)
     cdf = torch.cat([torch.zeros_like(cdf[:, :1]), cdf], dim=1) / cdf[:, -1:]
-    u = (torch.arange(count, device=cdf.device) + _offsets((len(cdf), count), cdf, generator)) / count
+    u = (torch.arange(count, dtype=cdf.dtype, device=cdf.device) + _offsets((len(cdf), count), cdf, generator)) / count
     u = u.expand(len(cdf), count).contiguous()
     bins = (torch.searchsorted(cdf, u, right=True) - 1).clamp(0, weights.shape[1] - 1)
     low, high = cdf.gather(1, bins), cdf.gather(1, bins + 1)

@@ -8,6 +8,8 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from rich.console import Console
+
 from nerfreg.errors import NerfregError
 from nerfreg.nearest import nearest
 from nerfreg.registry import PluginInfo, installed
@@ -51,9 +53,13 @@ def run(words: Sequence[str]) -> int:
     subjects = _subjects(options)
     grid = _grid(options)
     reports: list[Report] = []
-    if not options.plugins or compositor.NAME in options.plugins:
-        reports.append(check_compositor(grid))
-    reports += [check_plugin(subject, grid) for subject in subjects]
+    with Console(stderr=True).status("checking") as status:
+        if not options.plugins or compositor.NAME in options.plugins:
+            status.update(f"checking {compositor.NAME}")
+            reports.append(check_compositor(grid))
+        for subject in subjects:
+            status.update(f"checking {subject.name}")
+            reports.append(check_plugin(subject, grid))
     if options.json:
         print(as_json(reports))
     else:

@@ -1,0 +1,101 @@
+"""Where a ray through a medium is sampled: the choices of nerfreg's renderers, on a density known in closed form."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from nerfreg.bench.media import Medium
+from nerfreg.rendering.compositing import integrate
+from nerfreg.rendering.config import SamplerConfig
+from nerfreg.rendering.occupancy import EMPTY_THICKNESS
+from nerfreg.rendering.sampling import edges_between, importance, merge, stratified
+
+CELLS = SamplerConfig().skip_resolution
+LOOKS = 9
+"""A medium that varies along the ray alone is looked at once in each of the 3 x 3 cells across that count as one."""
+
+
+@dataclass(frozen=True)
+class Bundle:
+    """Rays through one medium; each has its own ends, its own chance and its own occupancy grid.
+
+    near, far: (R,). generator: the source of chance, on the CPU.
+    """
+
+    medium: Medium
+    near: Float[Tensor, " rays"]
+    far: Float[Tensor, " rays"]
+    generator: torch.Generator
+
+    @cached_property
+    def occupied(self) -> Bool[Tensor, "rays cells"]:
+        """Cells of the grid in which, or beside which, a look at the density found some."""
+        cell = ((self.far - self.near) / CELLS)[:, None, None]
+        shape = (len(self.near), CELLS, LOOKS)
+        inside = torch.rand(shape, generator=self.generator, dtype=cell.dtype)
+        t = self.near[:, None, None] + (torch.arange(CELLS)[:, None] + inside) * cell
+        found = (self.medium.density(t) * cell > EMPTY_THICKNESS).any(dim=2)
+        left, right = torch.zeros_like(found), torch.zeros_like(found)
+        left[:, 1:], right[:, :-1] = found[:, :-1], found[:, 1:]
+        return left | found | right
+
+
+@dataclass(frozen=True)
+class Sampled:
+    """t, density: (R, N). t_edges: (R, N+1). evaluations: of the density, on an average ray."""
+
+    t: Float[Tensor, "rays samples"]
+    t_edges: Float[Tensor, "rays edges"]
+    density: Float[Tensor, "rays samples"]
+    evaluations: float
+
+
+def uniform(bundle: Bundle, count: int) -> Sampled:
+    """The midpoints of equal parts."""
+    return _evaluated(bundle, stratified(bundle.near, bundle.far, count))
+
+
+def jittered(bundle: Bundle, count: int) -> Sampled:
+    """Anywhere in equal parts, as in training."""
+    return _evaluated(bundle, stratified(bundle.near, bundle.far, count, generator=bundle.generator))
+
+
+def by_importance(bundle: Bundle, count: int) -> Sampled:
+    """A third in the middle of equal parts, the rest where their weights are, all of them composited."""
+    coarse = stratified(bundle.near, bundle.far, max(count // 3, 1))
+    first = bundle.medium.density(coarse)
+    edges = edges_between(coarse, bundle.near, bundle.far)
+    fine = importance(edges, integrate(first, edges).weights, count - coarse.shape[1])
+    t, order = merge(coarse, fine)
+    density = torch.cat([first, bundle.medium.density(fine)], dim=1).gather(1, order)
+    return Sampled(t, edges_between(t, bundle.near, bundle.far), density, float(count))
+
+
+def skipping(bundle: Bundle, count: int) -> Sampled:
+    """The midpoints of equal parts, but the density is evaluated in occupied cells alone and 0 elsewhere."""
+    t = stratified(bundle.near, bundle.far, count)
+    share = (t - bundle.near[:, None]) / (bundle.far - bundle.near)[:, None]
+    cells = (share * CELLS).long().clamp_(0, CELLS - 1)
+    seen = bundle.occupied.gather(1, cells).view(-1).nonzero().squeeze(1)
+    density = torch.zeros_like(t)
+    density.view(-1)[seen] = bundle.medium.density(t.view(-1)[seen])
+    return Sampled(t, edges_between(t, bundle.near, bundle.far), density, len(seen) / len(t))
+
+
+def _evaluated(bundle: Bundle, t: Float[Tensor, "rays samples"]) -> Sampled:
+    edges = edges_between(t, bundle.near, bundle.far)
+    return Sampled(t, edges, bundle.medium.density(t), float(t.shape[1]))
+
+
+SAMPLERS: dict[str, Callable[[Bundle, int], Sampled]] = {
+    "uniform": uniform,
+    "uniform_jittered": jittered,
+    "importance": by_importance,
+    "skipping": skipping,
+}
