@@ -70,7 +70,9 @@ def _dispatch(words: list[str]) -> int | None:
 
 
 def _help() -> str:
-    lines = [f"  {f'{name} {verb.usage}':<26}{verb.help}" for name, verb in VERBS.items()]
+    usages = {f"{name} {verb.usage}": verb.help for name, verb in VERBS.items()}
+    width = max(map(len, usages)) + 2
+    lines = [f"  {usage:<{width}}{text}" for usage, text in usages.items()]
     return "\n".join(
         [
             "usage: nerfreg VERB [overrides] [--debug]",
