@@ -20,7 +20,7 @@ from nerfreg.training import OptimConfig
         (FieldConfig, "backend", "cuda", "field.backend=cuda: choose one of auto, numba, torch"),
         (SamplerConfig, "coarse", 0, "sampler.coarse=0: must be at least 1"),
         (SamplerConfig, "spacing", "log", "sampler.spacing=log: choose one of linear, disparity"),
-        (OptimConfig, "lr", -1.0, "optim.lr=-1.0: must be at least 1e-20"),
+        (OptimConfig, "lr", -1.0, "optim.lr=-1.0: must be between 1e-20 and 1e+06"),
         (OptimConfig, "ema", 1.0, "optim.ema=1.0: must be between 0 and 0.9999"),
         (EvalConfig, "count", 0, "eval.count=0: must be at least 1"),
     ],

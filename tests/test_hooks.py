@@ -14,7 +14,7 @@ import nerfreg
 from nerfreg.hooks import Needs, Regularizer
 
 SOURCE = Path(nerfreg.__file__).parent
-ROOMS = ("scenes", "rays", "field", "rendering", "training", "evaluation", "reports", "stability")
+ROOMS = ("scenes", "rays", "field", "rendering", "training", "evaluation", "reports", "stability", "bench")
 """In the order in which data passes through them."""
 
 

@@ -24,6 +24,7 @@ from nerfreg.evaluation.paths import orbit_path, spiral_path
 from nerfreg.evaluation.scores import Scores, photograph, score_views
 from nerfreg.evaluation.video import write_video
 from nerfreg.field import RadianceField
+from nerfreg.recording import Recorder
 from nerfreg.registry import Hooks, Term
 from nerfreg.rendering.views import View, ViewRenderer
 from nerfreg.run_config import read_run
@@ -34,7 +35,6 @@ from nerfreg.training.guard import Guard
 from nerfreg.training.loss import label
 from nerfreg.training.memory import keep_large_blocks, peak_memory_mb
 from nerfreg.training.progress import Progress
-from nerfreg.training.recording import Recorder
 from nerfreg.training.trainer import Trainer
 
 RENDERS = "renders"

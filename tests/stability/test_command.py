@@ -112,7 +112,7 @@ def test_mistakes_are_named(words, message):
 
 def test_replay(monkeypatch, tmp_path):
     replayed = []
-    monkeypatch.setattr("nerfreg.training.replay.replay", lambda path: replayed.append(path) or 1)
+    monkeypatch.setattr("nerfreg.replay.replay", lambda path: replayed.append(path) or 1)
     assert command.run(["--replay", str(tmp_path)]) == 1
     assert replayed == [tmp_path]
 

@@ -16,11 +16,11 @@ from nerfreg.config import Config
 from nerfreg.errors import NonFiniteError
 from nerfreg.field import RadianceField
 from nerfreg.registry import Hooks
+from nerfreg.replay import replay
 from nerfreg.scenes import load_scene
 from nerfreg.training.checkpoint import load_checkpoint
 from nerfreg.training.faults import usable
 from nerfreg.training.guard import Guard
-from nerfreg.training.replay import replay
 from nerfreg.training.trainer import Trainer
 
 SMALL = [

@@ -14,11 +14,11 @@ from safetensors.torch import save_file
 from nerfreg import hookimpl, registry
 from nerfreg.config import Config
 from nerfreg.errors import NerfregError
+from nerfreg.recording import Recorder, load_recording
 from nerfreg.registry import Hooks
 from nerfreg.rendering.renderer import Renderer
+from nerfreg.replay import replay
 from nerfreg.training.guard import Guard
-from nerfreg.training.recording import Recorder, load_recording
-from nerfreg.training.replay import replay
 from nerfreg.training.trainer import Trainer
 
 PLUGINS = "+reg=[faulty,combinerf,entropy]"

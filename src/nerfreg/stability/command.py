@@ -47,7 +47,7 @@ def run(words: Sequence[str]) -> int:
         print(_listing())
         return 0
     if options.replay is not None:
-        from nerfreg.training.replay import replay
+        from nerfreg.replay import replay
 
         return replay(Path(options.replay))
     subjects = _subjects(options)

@@ -4,18 +4,27 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Protocol, runtime_checkable
 
 from jaxtyping import Float
 from torch import Tensor
 
 from nerfreg.errors import NonFiniteError
+from nerfreg.field import RadianceField
 from nerfreg.registry import Hooks, Term
 from nerfreg.rendering.renderer import Renderer
 from nerfreg.training.faults import Batch, Fault, find_faults
-from nerfreg.training.recording import Recorder
 
 LIMIT = 3
 """So many steps in a row that cannot be used end the run."""
+
+
+@runtime_checkable
+class Recorder(Protocol):
+    """Keeps a step for later."""
+
+    def save(self, batch: Batch, field: RadianceField, box: Float[Tensor, "2 3"], faults: Sequence[Fault]) -> Path: ...
 
 
 def to_stderr(line: str) -> None:

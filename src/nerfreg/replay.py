@@ -14,11 +14,11 @@ from torch import Tensor
 from nerfreg.errors import NerfregError
 from nerfreg.field import RadianceField
 from nerfreg.hooks import Rendering
+from nerfreg.recording import load_recording
 from nerfreg.registry import Hooks, Term
 from nerfreg.rendering.renderer import Renderer
 from nerfreg.training.faults import Fault, faults_of
 from nerfreg.training.loss import label
-from nerfreg.training.recording import load_recording
 
 SHOWN = 5
 """Rays that are listed."""
