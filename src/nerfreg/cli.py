@@ -34,7 +34,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     debug = "--debug" in words
     words = [word for word in words if word != "--debug"]
     try:
-        return _dispatch(words) or 0
+        code = _dispatch(words) or 0
+        sys.stdout.flush()  # here, where a reader that has gone is no error yet, and not when the interpreter ends
+        return code
     except NerfregError as error:
         if debug:
             traceback.print_exc()
