@@ -17,158 +17,213 @@ from torch import Tensor
 
 from nerfreg.field.grid_layout import FEATURES, PRIMES, GridLayout
 
-PRIME_Y, PRIME_Z = np.uint32(PRIMES[1]), np.uint32(PRIMES[2])
+PRIME_Y, PRIME_Z = (np.uint32(prime).astype(np.int32) for prime in PRIMES[1:])
 ONE = np.float32(1)
-PARALLEL = {"parallel": True, "fastmath": {"contract", "nsz"}, "nogil": True, "cache": True, "error_model": "numpy"}
+BLOCK = 256
+"""Points whose vertices are found at once: that vectorises, and its results stay in the first-level cache."""
+
+COMPILED = {"fastmath": {"contract", "nsz"}, "nogil": True, "cache": True, "error_model": "numpy"}
 
 
 @no_type_check
-@njit(inline="always")
-def _cell(x, cells):
-    """Cell that contains x, clipped to the grid, and how far into the cell x lies."""
-    scaled = x * np.float32(cells)
-    low = min(max(np.int64(scaled), 0), cells - 1)
-    return np.uint32(low), scaled - np.float32(low)
+@njit(**COMPILED)
+def _locate(positions, start, count, cells, dense, mask, vertices, inside):
+    """Table entries of the eight vertices of each point's cell, and how far into the cell the point lies.
+
+    Cells are clipped to the grid. Vertices run fastest in x, then y, then z. positions: (3, P). vertices: (8, BLOCK).
+    inside: (3, BLOCK).
+    """
+    scale, last, top = np.float32(cells), np.float32(cells - 1), np.int32(cells - 1)
+    x_in, y_in, z_in = inside[0], inside[1], inside[2]
+    v0, v1, v2, v3 = vertices[0], vertices[1], vertices[2], vertices[3]
+    v4, v5, v6, v7 = vertices[4], vertices[5], vertices[6], vertices[7]
+    side = np.int32(cells + 1)
+    one, zero = np.int32(1), np.int32(0)
+    for p in range(count):
+        x = positions[0, start + p] * scale
+        y = positions[1, start + p] * scale
+        z = positions[2, start + p] * scale
+        x_low = min(max(np.floor(x), np.float32(0)), last)
+        y_low = min(max(np.floor(y), np.float32(0)), last)
+        z_low = min(max(np.floor(z), np.float32(0)), last)
+        x_in[p], y_in[p], z_in[p] = x - x_low, y - y_low, z - z_low
+        # What is not a number must not lead outside of the table.
+        i = min(max(np.int32(x_low), zero), top)
+        j = min(max(np.int32(y_low), zero), top)
+        k = min(max(np.int32(z_low), zero), top)
+        if dense:
+            a = i + side * (j + side * k)
+            b = a + side
+            c = a + side * side
+            d = c + side
+            v0[p], v1[p], v2[p], v3[p] = a, a + one, b, b + one
+            v4[p], v5[p], v6[p], v7[p] = c, c + one, d, d + one
+        else:
+            i1 = i + one
+            y0, z0 = j * PRIME_Y, k * PRIME_Z
+            y1, z1 = y0 + PRIME_Y, z0 + PRIME_Z
+            a, b, c, d = y0 ^ z0, y1 ^ z0, y0 ^ z1, y1 ^ z1
+            v0[p], v1[p], v2[p], v3[p] = (i ^ a) & mask, (i1 ^ a) & mask, (i ^ b) & mask, (i1 ^ b) & mask
+            v4[p], v5[p], v6[p], v7[p] = (i ^ c) & mask, (i1 ^ c) & mask, (i ^ d) & mask, (i1 ^ d) & mask
 
 
 @no_type_check
-@njit(inline="always")
-def _corners(x, y, z, cells, dense, mask):
-    """Table entries of the eight vertices of a cell; x runs fastest, then y, then z."""
-    if dense:
-        side = np.uint32(cells + 1)
-        a = x + side * (y + side * z)
-        b = a + side
-        c = a + side * side
-        d = c + side
-        one = np.uint32(1)
-        return a, a + one, b, b + one, c, c + one, d, d + one
-    x1 = x + np.uint32(1)
-    y0, z0 = y * PRIME_Y, z * PRIME_Z
-    y1, z1 = y0 + PRIME_Y, z0 + PRIME_Z
-    a, b, c, d = y0 ^ z0, y1 ^ z0, y0 ^ z1, y1 ^ z1
-    return (
-        (x ^ a) & mask, (x1 ^ a) & mask, (x ^ b) & mask, (x1 ^ b) & mask,
-        (x ^ c) & mask, (x1 ^ c) & mask, (x ^ d) & mask, (x1 ^ d) & mask,
-    )  # fmt: skip
+@njit(**COMPILED)
+def _gather(entries, vertices, inside, first, second, start, count):
+    """Interpolate both features of a level; entries hold them as the parts of a complex number, loaded in one go."""
+    for p in range(count):
+        fx, fy, fz = inside[0, p], inside[1, p], inside[2, p]
+        gx, gy, gz = ONE - fx, ONE - fy, ONE - fz
+        a, b, c, d = gy * gz, fy * gz, gy * fz, fy * fz
+        e0, e1 = entries[np.uint32(vertices[0, p])], entries[np.uint32(vertices[1, p])]
+        e2, e3 = entries[np.uint32(vertices[2, p])], entries[np.uint32(vertices[3, p])]
+        e4, e5 = entries[np.uint32(vertices[4, p])], entries[np.uint32(vertices[5, p])]
+        e6, e7 = entries[np.uint32(vertices[6, p])], entries[np.uint32(vertices[7, p])]
+        first[start + p] = (
+            a * (gx * e0.real + fx * e1.real)
+            + b * (gx * e2.real + fx * e3.real)
+            + c * (gx * e4.real + fx * e5.real)
+            + d * (gx * e6.real + fx * e7.real)
+        )
+        second[start + p] = (
+            a * (gx * e0.imag + fx * e1.imag)
+            + b * (gx * e2.imag + fx * e3.imag)
+            + c * (gx * e4.imag + fx * e5.imag)
+            + d * (gx * e6.imag + fx * e7.imag)
+        )
 
 
 @no_type_check
-@njit(**PARALLEL)
+@njit(**COMPILED)
+def _scatter(entries, vertices, inside, first, second, start, count):
+    """Add the gradients of both features to the entries they came from."""
+    for p in range(count):
+        fx, fy, fz = inside[0, p], inside[1, p], inside[2, p]
+        gx, gy, gz = ONE - fx, ONE - fy, ONE - fz
+        a, b, c, d = gy * gz, fy * gz, gy * fz, fy * fz
+        u, v = first[start + p], second[start + p]
+        entries[np.uint32(vertices[0, p])] += complex(gx * a * u, gx * a * v)
+        entries[np.uint32(vertices[1, p])] += complex(fx * a * u, fx * a * v)
+        entries[np.uint32(vertices[2, p])] += complex(gx * b * u, gx * b * v)
+        entries[np.uint32(vertices[3, p])] += complex(fx * b * u, fx * b * v)
+        entries[np.uint32(vertices[4, p])] += complex(gx * c * u, gx * c * v)
+        entries[np.uint32(vertices[5, p])] += complex(fx * c * u, fx * c * v)
+        entries[np.uint32(vertices[6, p])] += complex(gx * d * u, gx * d * v)
+        entries[np.uint32(vertices[7, p])] += complex(fx * d * u, fx * d * v)
+
+
+@no_type_check
+@njit(**COMPILED)
+def _slope(entries, vertices, inside, first, second, start, count, cells, position_grad):
+    """Add the gradient that reaches the positions through one level. position_grad: (3, P)."""
+    scale = np.float32(cells)
+    for p in range(count):
+        fx, fy, fz = inside[0, p], inside[1, p], inside[2, p]
+        gx, gy, gz = ONE - fx, ONE - fy, ONE - fz
+        u, v = first[start + p] * scale, second[start + p] * scale
+        e0, e1 = entries[np.uint32(vertices[0, p])], entries[np.uint32(vertices[1, p])]
+        e2, e3 = entries[np.uint32(vertices[2, p])], entries[np.uint32(vertices[3, p])]
+        e4, e5 = entries[np.uint32(vertices[4, p])], entries[np.uint32(vertices[5, p])]
+        e6, e7 = entries[np.uint32(vertices[6, p])], entries[np.uint32(vertices[7, p])]
+        t0, t1 = u * e0.real + v * e0.imag, u * e1.real + v * e1.imag
+        t2, t3 = u * e2.real + v * e2.imag, u * e3.real + v * e3.imag
+        t4, t5 = u * e4.real + v * e4.imag, u * e5.real + v * e5.imag
+        t6, t7 = u * e6.real + v * e6.imag, u * e7.real + v * e7.imag
+        position_grad[0, start + p] += (
+            gy * gz * (t1 - t0) + fy * gz * (t3 - t2) + gy * fz * (t5 - t4) + fy * fz * (t7 - t6)
+        )
+        position_grad[1, start + p] += (
+            gx * gz * (t2 - t0) + fx * gz * (t3 - t1) + gx * fz * (t6 - t4) + fx * fz * (t7 - t5)
+        )
+        position_grad[2, start + p] += (
+            gx * gy * (t4 - t0) + fx * gy * (t5 - t1) + gx * fy * (t6 - t2) + fx * fy * (t7 - t3)
+        )
+
+
+@no_type_check
+@njit(parallel=True, **COMPILED)
 def _forward(positions, table, offsets, resolutions, dense, mask, threads, features):
-    points = len(positions)
+    points = positions.shape[1]
     share = (points + threads - 1) // threads
     for thread in prange(threads):
+        vertices, inside = np.empty((8, BLOCK), np.int32), np.empty((3, BLOCK), np.float32)
+        stop = min(points, (thread + 1) * share)
         for level in range(len(features) // 2):
-            cells, is_dense = resolutions[level], dense[level]
             entries = table[offsets[level] : offsets[level + 1]]
-            first, second = features[2 * level], features[2 * level + 1]
-            for p in range(thread * share, min(points, (thread + 1) * share)):
-                x, fx = _cell(positions[p, 0], cells)
-                y, fy = _cell(positions[p, 1], cells)
-                z, fz = _cell(positions[p, 2], cells)
-                i0, i1, i2, i3, i4, i5, i6, i7 = _corners(x, y, z, cells, is_dense, mask)
-                gx, gy, gz = ONE - fx, ONE - fy, ONE - fz
-                a, b, c, d = gy * gz, fy * gz, gy * fz, fy * fz
-                first[p] = (
-                    a * (gx * entries[i0, 0] + fx * entries[i1, 0])
-                    + b * (gx * entries[i2, 0] + fx * entries[i3, 0])
-                    + c * (gx * entries[i4, 0] + fx * entries[i5, 0])
-                    + d * (gx * entries[i6, 0] + fx * entries[i7, 0])
-                )
-                second[p] = (
-                    a * (gx * entries[i0, 1] + fx * entries[i1, 1])
-                    + b * (gx * entries[i2, 1] + fx * entries[i3, 1])
-                    + c * (gx * entries[i4, 1] + fx * entries[i5, 1])
-                    + d * (gx * entries[i6, 1] + fx * entries[i7, 1])
-                )
+            for start in range(thread * share, stop, BLOCK):
+                count = min(BLOCK, stop - start)
+                _locate(positions, start, count, resolutions[level], dense[level], mask, vertices, inside)
+                _gather(entries, vertices, inside, features[2 * level], features[2 * level + 1], start, count)
 
 
 @no_type_check
-@njit(**PARALLEL)
+@njit(parallel=True, **COMPILED)
 def _backward_table(positions, grad, offsets, resolutions, dense, mask, threads, table_grad):
-    levels = len(grad) // 2
+    points, levels = positions.shape[1], len(grad) // 2
     for thread in prange(threads):
+        vertices, inside = np.empty((8, BLOCK), np.int32), np.empty((3, BLOCK), np.float32)
         for level in range(thread, levels, threads):
-            cells, is_dense = resolutions[level], dense[level]
             entries = table_grad[offsets[level] : offsets[level + 1]]
-            first, second = grad[2 * level], grad[2 * level + 1]
-            for p in range(len(positions)):
-                x, fx = _cell(positions[p, 0], cells)
-                y, fy = _cell(positions[p, 1], cells)
-                z, fz = _cell(positions[p, 2], cells)
-                i0, i1, i2, i3, i4, i5, i6, i7 = _corners(x, y, z, cells, is_dense, mask)
-                gx, gy, gz = ONE - fx, ONE - fy, ONE - fz
-                a, b, c, d = gy * gz, fy * gz, gy * fz, fy * fz
-                u, v = first[p], second[p]
-                for i, w in (
-                    (i0, gx * a), (i1, fx * a), (i2, gx * b), (i3, fx * b),
-                    (i4, gx * c), (i5, fx * c), (i6, gx * d), (i7, fx * d),
-                ):  # fmt: skip
-                    entries[i, 0] += w * u
-                    entries[i, 1] += w * v
+            for start in range(0, points, BLOCK):
+                count = min(BLOCK, points - start)
+                _locate(positions, start, count, resolutions[level], dense[level], mask, vertices, inside)
+                _scatter(entries, vertices, inside, grad[2 * level], grad[2 * level + 1], start, count)
 
 
 @no_type_check
-@njit(**PARALLEL)
-def _backward_positions(positions, table, grad, offsets, resolutions, dense, mask, position_grad):
-    levels = len(grad) // 2
-    for p in prange(len(positions)):
-        dx, dy, dz = np.float32(0), np.float32(0), np.float32(0)
-        for level in range(levels):
-            cells = resolutions[level]
-            entries = table[offsets[level] : offsets[level + 1]]
-            x, fx = _cell(positions[p, 0], cells)
-            y, fy = _cell(positions[p, 1], cells)
-            z, fz = _cell(positions[p, 2], cells)
-            i0, i1, i2, i3, i4, i5, i6, i7 = _corners(x, y, z, cells, dense[level], mask)
-            gx, gy, gz = ONE - fx, ONE - fy, ONE - fz
-            u, v = grad[2 * level, p] * np.float32(cells), grad[2 * level + 1, p] * np.float32(cells)
-            e0 = u * entries[i0, 0] + v * entries[i0, 1]
-            e1 = u * entries[i1, 0] + v * entries[i1, 1]
-            e2 = u * entries[i2, 0] + v * entries[i2, 1]
-            e3 = u * entries[i3, 0] + v * entries[i3, 1]
-            e4 = u * entries[i4, 0] + v * entries[i4, 1]
-            e5 = u * entries[i5, 0] + v * entries[i5, 1]
-            e6 = u * entries[i6, 0] + v * entries[i6, 1]
-            e7 = u * entries[i7, 0] + v * entries[i7, 1]
-            dx += gy * gz * (e1 - e0) + fy * gz * (e3 - e2) + gy * fz * (e5 - e4) + fy * fz * (e7 - e6)
-            dy += gx * gz * (e2 - e0) + fx * gz * (e3 - e1) + gx * fz * (e6 - e4) + fx * fz * (e7 - e5)
-            dz += gx * gy * (e4 - e0) + fx * gy * (e5 - e1) + gx * fy * (e6 - e2) + fx * fy * (e7 - e3)
-        position_grad[p, 0], position_grad[p, 1], position_grad[p, 2] = dx, dy, dz
+@njit(parallel=True, **COMPILED)
+def _backward_positions(positions, table, grad, offsets, resolutions, dense, mask, threads, position_grad):
+    points = positions.shape[1]
+    share = (points + threads - 1) // threads
+    for thread in prange(threads):
+        vertices, inside = np.empty((8, BLOCK), np.int32), np.empty((3, BLOCK), np.float32)
+        stop = min(points, (thread + 1) * share)
+        for level in range(len(grad) // 2):
+            cells, entries = resolutions[level], table[offsets[level] : offsets[level + 1]]
+            first, second = grad[2 * level], grad[2 * level + 1]
+            for start in range(thread * share, stop, BLOCK):
+                count = min(BLOCK, stop - start)
+                _locate(positions, start, count, cells, dense[level], mask, vertices, inside)
+                _slope(entries, vertices, inside, first, second, start, count, cells, position_grad)
 
 
 class _Encode(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, positions: Tensor, table: Tensor, layout: GridLayout, levels: int) -> Tensor:
         features = torch.empty(FEATURES * levels, len(positions))
-        _forward(
-            positions.detach().numpy(), table.detach().numpy(), *_arguments(layout), get_num_threads(), features.numpy()
-        )
-        ctx.save_for_backward(positions, table)
+        rows = positions.detach().t().contiguous()
+        _forward(rows.numpy(), _pairs(table), *_arguments(layout), get_num_threads(), features.numpy())
+        ctx.save_for_backward(rows, table)
         ctx.layout = layout
         return features.t()
 
     @staticmethod
     def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor | None, ...]:
-        positions, table = (tensor.detach().numpy() for tensor in ctx.saved_tensors)
-        grad = grads[0].t().contiguous().numpy()
+        rows, table = ctx.saved_tensors
+        positions, grad = rows.numpy(), grads[0].t().contiguous().numpy()
+        shared = *_arguments(ctx.layout), get_num_threads()
         table_grad = position_grad = None
         if ctx.needs_input_grad[1]:
             table_grad = torch.zeros(table.shape)
-            _backward_table(positions, grad, *_arguments(ctx.layout), get_num_threads(), table_grad.numpy())
+            _backward_table(positions, grad, *shared, _pairs(table_grad))
         if ctx.needs_input_grad[0]:
-            position_grad = torch.empty(positions.shape)
-            _backward_positions(positions, table, grad, *_arguments(ctx.layout), position_grad.numpy())
+            position_grad = torch.zeros(rows.shape)
+            _backward_positions(positions, _pairs(table), grad, *shared, position_grad.numpy())
+            position_grad = position_grad.t()
         return position_grad, table_grad, None, None
 
 
-def _arguments(layout: GridLayout) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.uint32]:
-    return layout.offsets, layout.resolutions, layout.dense, np.uint32(2**layout.log2_entries - 1)
+def _pairs(table: Tensor) -> np.ndarray:
+    """(E,) the two features of each entry as one complex number, of the same memory."""
+    return table.detach().numpy().view(np.complex64)[:, 0]
+
+
+def _arguments(layout: GridLayout) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.int32]:
+    return layout.offsets, layout.resolutions, layout.dense, np.int32(2**layout.log2_entries - 1)
 
 
 def encode(
     positions: Float[Tensor, "points 3"], table: Float[Tensor, "entries 2"], layout: GridLayout, levels: int
 ) -> Float[Tensor, "points features"]:
     """The same as `grid_torch.encode` for float32 on the CPU; the result is stored feature by feature."""
-    return _Encode.apply(positions.contiguous(), table, layout, levels)
+    return _Encode.apply(positions, table, layout, levels)
