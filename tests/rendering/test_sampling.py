@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 import torch
 
-from nerfreg.rendering.sampling import edges_between, importance, merge, stratified
+from nerfreg.rendering.sampling import edges_between, equal_shares, importance, merge, stratified
 
 
 def test_strata_without_chance_are_their_midpoints() -> None:
@@ -61,3 +61,19 @@ def test_merge_tells_where_each_came_from() -> None:
     t, order = merge(torch.tensor([[1.0, 3.0]]), torch.tensor([[2.0, 3.0]]))
     assert t.tolist() == [[1.0, 2.0, 3.0, 3.0]]
     assert order.tolist() == [[0, 2, 1, 3]]
+
+
+def test_equal_shares_run_from_end_to_end() -> None:
+    # Weights 1, 3, 0 in [0,1], [1,2], [2,4]: quarters end at 1, 4/3, 5/3 and, all weight being spent, 4.
+    edges, weights = torch.tensor([[0.0, 1.0, 2.0, 4.0]]), torch.tensor([[1.0, 3.0, 0.0]])
+    cuts, begins = equal_shares(edges, weights, 4)
+    torch.testing.assert_close(cuts, torch.tensor([[0.0, 1.0, 4 / 3, 5 / 3, 4.0]]), rtol=0, atol=1e-4)
+    # the first cut after 1 lies behind it only by what the floor adds
+    assert begins[0].tolist() in ([0, 1, 1, 1], [0, 0, 1, 1])
+
+
+def test_samples_keep_the_precision_of_the_rays() -> None:
+    near, far = torch.ones(2, 3, dtype=torch.float64)
+    assert stratified(near, far + 1, 4).dtype == torch.float64
+    edges = torch.linspace(0, 1, 5, dtype=torch.float64)[None]
+    assert importance(edges, torch.ones(1, 4, dtype=torch.float64), 3).dtype == torch.float64

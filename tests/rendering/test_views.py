@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pytest
 import torch
 
 from nerfreg.field import FieldConfig, RadianceField
@@ -84,5 +85,45 @@ def test_a_strided_image_holds_every_so_manieth_pixel() -> None:
     there = scene()
     renderer = ViewRenderer(Ball(there.box), SamplerConfig(16, 16), there)
     whole, part = renderer.view(there.cameras, 0), renderer.view(there.cameras, 0, 5)
-    torch.testing.assert_close(part.rgb, whole.rgb[::5, ::5])
-    torch.testing.assert_close(part.depth, whole.depth[::5, ::5])
+    torch.testing.assert_close(part.rgb, whole.rgb[::5, ::5], rtol=0, atol=1e-5)
+    # the intervals follow the pixels around, which are others: depth moves by less than an interval in the ball
+    torch.testing.assert_close(part.depth, whole.depth[::5, ::5], rtol=0, atol=0.02)
+
+
+@pytest.mark.parametrize("block", [1, 2, 4, 5])
+def test_blocks_share_where_they_look_and_not_what_they_see(block: int) -> None:
+    # 48 pixels are no multiple of 5: the last block reaches beyond the image.
+    there = scene()
+    sampler = SamplerConfig(64, 0, view_samples=64, view_block=block)
+    view = ViewRenderer(Ball(there.box), sampler, there).view(there.cameras, there.test[0])
+    exact = ball_depth(there)
+    hit = exact.isfinite()
+    assert view.rgb.shape == (48, 48, 3)
+    # at the rim a pixel is half in, half out of the ball's last intervals
+    assert ((view.opacity > 0.5) == hit).float().mean() > 0.99
+    error = (view.depth - exact)[hit].abs()
+    assert error.median() < 0.01 and error.quantile(0.8) < 0.1
+
+
+def test_what_lies_behind_something_opaque_is_not_looked_at() -> None:
+    there = scene()
+    field = Ball(there.box)
+    renderer = ViewRenderer(field, SamplerConfig(64, 0, view_samples=64, view_block=4), there)
+    renderer.occupancy.occupied.fill_(True)
+    renderer.view(there.cameras, there.test[0])
+    hit = ball_depth(there).isfinite().float().mean()
+    # Of 64 intervals of a ray that meets the ball less than half lie before it or in its first tenth.
+    assert renderer.points < 48 * 48 * (64 / 16 + 64 * (1 - 0.4 * hit))
+    assert renderer.colors < renderer.points
+
+
+def ball_depth(there: Scene) -> torch.Tensor:
+    """Distance (H, W) at which the rays of the first test view meet the ball, infinite where they do not."""
+    y, x = torch.meshgrid(torch.arange(48), torch.arange(48), indexing="ij")
+    pixels = torch.stack([x, y], dim=-1).view(-1, 2)
+    origins, directions = there.cameras.rays(torch.full((48 * 48,), there.test[0]), pixels)
+    # |o + t d - c|^2 = 1/4 with |d| = 1: t = b - sqrt(b^2 - |o - c|^2 + 1/4), b = (c - o) d
+    to_center = torch.tensor([0.3, 0.0, 0.0]) - origins
+    b = (to_center * directions).sum(dim=1)
+    root = b.square() - to_center.square().sum(dim=1) + 0.25
+    return torch.where(root > 0, b - root.clamp_min(0).sqrt(), torch.inf).view(48, 48)

@@ -45,14 +45,34 @@ def importance(
 
     One distance in each of `count` equal parts of the cumulative distribution; their midpoints without a generator.
     """
+    offsets = _offsets((len(weights), count), weights, generator)
+    u = (torch.arange(count, dtype=weights.dtype, device=weights.device) + offsets) / count
+    return _inverse(t_edges, weights, u.expand(len(weights), count).contiguous())[0]
+
+
+def equal_shares(
+    t_edges: Float[Tensor, "rays edges"], weights: Float[Tensor, "rays samples"], count: int
+) -> tuple[Float[Tensor, "rays borders"], Int[Tensor, "rays count"]]:
+    """Borders (R, count + 1) of `count` intervals with equal shares of the weights, from the first edge to the last.
+
+    Also, (R, count), the old interval in which each new one begins.
+    """
+    u = torch.linspace(0, 1, count + 1, dtype=weights.dtype, device=weights.device)
+    borders, bins = _inverse(t_edges, weights, u.expand(len(weights), count + 1).contiguous())
+    borders[:, 0], borders[:, -1] = t_edges[:, 0], t_edges[:, -1]
+    return borders, bins[:, :-1]
+
+
+def _inverse(
+    t_edges: Float[Tensor, "rays edges"], weights: Float[Tensor, "rays samples"], u: Float[Tensor, "rays shares"]
+) -> tuple[Float[Tensor, "rays shares"], Int[Tensor, "rays shares"]]:
+    """Where shares u of the weights of a ray lie before t, and in which interval that is."""
     cdf = torch.cumsum(weights + PDF_FLOOR, dim=1)
     cdf = torch.cat([torch.zeros_like(cdf[:, :1]), cdf], dim=1) / cdf[:, -1:]
-    u = (torch.arange(count, dtype=cdf.dtype, device=cdf.device) + _offsets((len(cdf), count), cdf, generator)) / count
-    u = u.expand(len(cdf), count).contiguous()
     bins = (torch.searchsorted(cdf, u, right=True) - 1).clamp(0, weights.shape[1] - 1)
     low, high = cdf.gather(1, bins), cdf.gather(1, bins + 1)
     fraction = ((u - low) / (high - low).clamp_min(torch.finfo(cdf.dtype).tiny)).clamp(0, 1)
-    return torch.lerp(t_edges.gather(1, bins), t_edges.gather(1, bins + 1), fraction)
+    return torch.lerp(t_edges.gather(1, bins), t_edges.gather(1, bins + 1), fraction), bins
 
 
 def merge(

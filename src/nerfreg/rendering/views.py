@@ -5,20 +5,29 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
+from torch.nn import functional
 
+from nerfreg.field.directions import spherical_harmonics
 from nerfreg.field.radiance_field import RadianceField
-from nerfreg.hooks import Rays, Samples, Step
 from nerfreg.rays.clipping import clip_to_box
+from nerfreg.rendering.compositing import integrate, transmittance
 from nerfreg.rendering.config import SamplerConfig
 from nerfreg.rendering.occupancy import OccupancyGrid
-from nerfreg.rendering.renderer import Evaluation, Renderer
+from nerfreg.rendering.renderer import MIN_WEIGHT
+from nerfreg.rendering.sampling import edges_between, equal_shares, stratified
 from nerfreg.scenes.cameras import Cameras
 from nerfreg.scenes.scene import Scene
 
-RAYS = 2048
-"""Rays rendered at once."""
+SAMPLES = 2**17
+"""Samples rendered at once."""
+
+FLOOR = 0.1
+"""This share of a ray's intervals is spread evenly over it, the rest lies where density was found."""
+
+DARK = 1e-3
+"""Light below which a ray is not followed any further."""
 
 
 @dataclass(frozen=True)
@@ -34,63 +43,142 @@ class View:
     opacity: Float[Tensor, "height width"]
 
 
-class ViewRenderer(Renderer):
-    """Renders images as training renders rays, without chance, without plugins, and without looking at empty space.
+class ViewRenderer:
+    """Renders images without chance and without plugins, and looks only where there is something to see.
 
-    The samples are as many as in training; where the occupancy grid is empty the field is not evaluated and its
-    density is 0.
+    A scout, one ray through the middle of each block of pixels, finds where along it there is density
+    (`sampler.coarse` samples). The rays of the block's pixels are then cut into `sampler.view_samples` intervals of
+    equal share in what this scout and those around it have found. Where the occupancy grid is empty, and behind
+    what is opaque, the field is not evaluated.
+
+    points, colors: evaluations of density and colour so far.
     """
 
-    jitter = False
-
     def __init__(self, field: RadianceField, sampler: SamplerConfig, scene: Scene) -> None:
-        super().__init__(field, sampler, _NoHooks())
+        self.field = field
+        self.sampler = sampler
         self.scene = scene
         self.occupancy = OccupancyGrid(field, sampler.skip_resolution)
-        self.step = Step(0, 0, 1.0, torch.Generator(), (scene.near, scene.far), lambda rendering: rendering)
+        self.background = torch.zeros(3) if scene.background is None else scene.background
+        self.points = 0
+        self.colors = 0
 
     @torch.no_grad()
     def view(self, cameras: Cameras, view: int, stride: int = 1) -> View:
         """One image, of every `stride`-th row and column."""
-        device = self.field.center.device
-        y, x = torch.meshgrid(
-            torch.arange(0, cameras.height, stride), torch.arange(0, cameras.width, stride), indexing="ij"
-        )
-        pixels = torch.stack([x, y], dim=-1).view(-1, 2)
-        origins, directions = cameras.rays(torch.full((len(pixels),), view), pixels)
+        # Pixels that are further apart see less of the same.
+        side, device = max(self.sampler.view_block // stride, 1), self.field.center.device
+        rows, columns = torch.arange(0, cameras.height, stride), torch.arange(0, cameras.width, stride)
+        pixels = _blocks(rows, columns, side)
+        blocks = pixels.shape[:2]
+        origins, directions = cameras.rays(torch.full((pixels[..., 0].numel(),), view), pixels.reshape(-1, 2))
         near, far = clip_to_box(origins, directions, self.scene.box, self.scene.near, self.scene.far)
-        background = torch.zeros(3) if self.scene.background is None else self.scene.background
-        image = torch.cat([background.expand(len(pixels), 3), far[:, None], torch.zeros(len(pixels), 1)], dim=1)
-        for chunk in (far > near).nonzero().squeeze(1).split(RAYS):
-            rays = Rays(
-                origins[chunk].to(device),
-                directions[chunk].to(device),
-                near[chunk].to(device),
-                far[chunk].to(device),
-                targets=torch.zeros(0, 3),
-                background=background.expand(len(chunk), 3).to(device),
-            )
-            result = self.render(rays, self.step)
-            image[chunk] = torch.cat([result.rgb, result.depth[:, None], result.opacity[:, None]], dim=1).cpu()
-        image = image.view(*x.shape, 5)
+        image = torch.cat([self.background.expand(len(near), 3), far[:, None], torch.zeros(len(near), 1)], dim=1)
+        image = image.view(blocks.numel(), side**2, 5)
+        rays = _Blocks(*(part.view(len(image), side**2, *part.shape[1:]) for part in (origins, directions, near, far)))
+        hit = (far > near).view(len(image), -1).any(dim=1).nonzero().squeeze(1)
+        rays = rays.to(device)
+        scouts = self._scout(rays, hit).shared(blocks)
+        for chunk in hit.split(max(SAMPLES // (side**2 * self.sampler.view_samples), 1)):
+            image[chunk] = self._render(rays.picked(chunk), *scouts.cuts(chunk, self.sampler.view_samples)).cpu()
+        image = image.view(*blocks, side, side, 5).transpose(1, 2).flatten(2, 3).flatten(0, 1)
+        image = image[: len(rows), : len(columns)]
         return View(image[..., :3].contiguous(), image[..., 3].contiguous(), image[..., 4].contiguous())
 
-    def _evaluate(self, samples: Samples) -> Evaluation:
-        positions = samples.positions.reshape(-1, 3)
-        seen = self.occupancy.contains(positions).nonzero().squeeze(1)
-        raw = self.field.raw_density(positions[seen])
-        density = raw.new_zeros(len(positions))
-        density[seen] = self.field.density(raw)
-        rows = seen.new_zeros(len(positions))
-        rows[seen] = torch.arange(len(seen), device=seen.device)
-        return Evaluation(density.view(samples.t.shape), raw, rows.view(samples.t.shape))
+    def _scout(self, rays: _Blocks, hit: Int[Tensor, " hit"]) -> _Scouts:
+        """Follow the middle of every block that meets the box."""
+        count, samples = len(rays.near), self.sampler.coarse
+        edges, weights, light = (rays.near.new_zeros(count, samples + more) for more in (1, 0, 0))
+        for chunk in hit.split(SAMPLES // samples or 1):
+            block = rays.picked(chunk)
+            near, far = block.near.amin(dim=1), block.far.amax(dim=1)
+            t = stratified(near, far, samples, self.sampler.spacing)
+            middle = functional.normalize(block.directions.mean(dim=1), dim=-1)
+            positions = block.origins.mean(dim=1)[:, None] + middle[:, None] * t[..., None]
+            density = self._density(positions, torch.ones_like(t, dtype=torch.bool))[0]
+            edges[chunk] = edges_between(t, near, far)
+            found = integrate(density, edges[chunk])
+            weights[chunk] = found.weights
+            # The pixels may meet something one interval later than the scout.
+            light[chunk] = functional.pad(found.log_transmittance, (1, 0))[:, :-1].exp()
+        return _Scouts(edges, weights, light)
+
+    def _render(
+        self, rays: _Blocks, edges: Float[Tensor, "blocks edges"], light: Float[Tensor, "blocks samples"]
+    ) -> Float[Tensor, "blocks pixels 5"]:
+        """Colour, depth and opacity of every pixel, from intervals that the pixels of a block share."""
+        blocks, pixels = rays.near.shape
+        # Pixels at the border of the box enter and leave it at distances of their own.
+        own = edges[:, None].clamp(rays.near[..., None], rays.far[..., None]).flatten(0, 1)
+        directions = rays.directions.flatten(0, 1)
+        t = (own[:, 1:] + own[:, :-1]) / 2
+        positions = rays.origins.flatten(0, 1)[:, None] + directions[:, None] * t[..., None]
+        lit = (light > DARK)[:, None].expand(-1, pixels, -1).reshape(t.shape)
+        density, raw, places = self._density(positions, lit & (own.diff(dim=1) > 0))
+        result = integrate(density, own)
+        ray, sample = (result.weights > MIN_WEIGHT).nonzero(as_tuple=True)
+        self.colors += len(ray)
+        color = self.field.color(
+            raw.index_select(0, places[ray, sample]), spherical_harmonics(directions).index_select(0, ray)
+        )
+        rgb = color.new_zeros(len(t), 3).index_add(0, ray, result.weights[ray, sample][:, None] * color)
+        rgb = rgb + transmittance(result.tau)[:, None] * self.background.to(rgb)
+        return torch.cat([rgb, result.depth[:, None], result.opacity[:, None]], dim=1).view(blocks, pixels, 5)
+
+    def _density(
+        self, positions: Float[Tensor, "rays samples 3"], asked: Bool[Tensor, "rays samples"]
+    ) -> tuple[Float[Tensor, "rays samples"], Float[Tensor, "evaluated out"], Int[Tensor, "rays samples"]]:
+        """Density where asked for and not known to be 0; output of the density network; each sample's row of it."""
+        flat = positions.view(-1, 3)
+        seen = (asked.view(-1) & self.occupancy.contains(flat)).nonzero().squeeze(1)
+        self.points += len(seen)
+        raw = self.field.raw_density(flat.index_select(0, seen))
+        density = raw.new_zeros(len(flat)).index_copy(0, seen, self.field.density(raw))
+        places = seen.new_zeros(len(flat)).index_copy(0, seen, torch.arange(len(seen), device=seen.device))
+        return density.view(asked.shape), raw, places.view(asked.shape)
 
 
-class _NoHooks:
-    """Test views are rendered as the field is, whatever the plugins did while it was trained."""
+@dataclass(frozen=True)
+class _Blocks:
+    """Rays of the pixels of blocks."""
 
-    def ray_bounds(self, rays: Rays, step: Step) -> tuple[Tensor, Tensor]:
-        return rays.near, rays.far
+    origins: Float[Tensor, "blocks pixels 3"]
+    directions: Float[Tensor, "blocks pixels 3"]
+    near: Float[Tensor, "blocks pixels"]
+    far: Float[Tensor, "blocks pixels"]
 
-    def encoder_input(self, samples: Samples, step: Step) -> Samples:
-        return samples
+    def picked(self, chunk: Int[Tensor, " picked"]) -> _Blocks:
+        return _Blocks(self.origins[chunk], self.directions[chunk], self.near[chunk], self.far[chunk])
+
+    def to(self, device: torch.device) -> _Blocks:
+        return _Blocks(*(part.to(device) for part in (self.origins, self.directions, self.near, self.far)))
+
+
+@dataclass(frozen=True)
+class _Scouts:
+    """What was found in each block. light: how much reaches each interval, or the one before it."""
+
+    edges: Float[Tensor, "blocks edges"]
+    weights: Float[Tensor, "blocks samples"]
+    light: Float[Tensor, "blocks samples"]
+
+    def shared(self, blocks: torch.Size) -> _Scouts:
+        """Weights become the largest around them, in the eight adjacent blocks and one interval along the ray."""
+        around = functional.max_pool3d(self.weights.view(1, 1, *blocks, -1), 3, stride=1, padding=1)
+        return _Scouts(self.edges, around.view(self.weights.shape), self.light)
+
+    def cuts(
+        self, chunk: Int[Tensor, " picked"], count: int
+    ) -> tuple[Float[Tensor, "picked edges"], Float[Tensor, "picked count"]]:
+        """`count` intervals for each picked block, as edges, and the light that reaches each at most."""
+        weights = self.weights[chunk]
+        weights = weights + FLOOR / weights.shape[1] * weights.sum(dim=1, keepdim=True)
+        edges, bins = equal_shares(self.edges[chunk], weights, count)
+        return edges, self.light[chunk].gather(1, bins)
+
+
+def _blocks(rows: Int[Tensor, " height"], columns: Int[Tensor, " width"], side: int) -> Int[Tensor, "y x pixels 2"]:
+    """Pixels (x, y) in square blocks; the last row and column are repeated where blocks reach beyond them."""
+    rows, columns = (torch.cat([line, line[-1:].expand(-len(line) % side)]).view(-1, side) for line in (rows, columns))
+    y, x = torch.broadcast_tensors(rows[:, None, :, None], columns[None, :, None, :])
+    return torch.stack([x, y], dim=-1).flatten(2, 3)
