@@ -167,7 +167,16 @@ HYDRA_VERBS = ("train", "scene")
 DETAILS = {
     "evaluate": "Overrides change keys of the group eval, e.g. eval.lpips_weights=weights.safetensors.",
     "check": "Options: --case NAME  --dtype NAME  --samples N  --replay FILE  --json  --list (the cases)",
-    "bench": "Names: quadrature, losses. Options: -o FOLDER (default bench/NAME)  --quick",
+    "bench": """\
+  quadrature              a rendered ray: error against run time
+  losses                  every plugin's loss: error and run time
+  step [overrides]        a training step and its parts: --steps N  --warmup N  --at SHARE (of the budget)
+  overhead [overrides]    each regularizer and preset against vanilla: --steps N  --only NAME,NAME
+  scaling [overrides]     a step against rays, samples, levels and table size: --steps N
+  render RUN              test views of a run: --views N
+
+Options of all: -o FOLDER (default bench/NAME)  --quick
+Overrides are those of nerfreg train. The last line that step and render print is JSON.""",
     "render": "Options: path=test|spiral|orbit  frames=60  fps=30  format=mp4|gif  out=FOLDER (default RUN/renders)",
 }
 

@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from nerfreg.bench import timing
-from nerfreg.bench.timing import median_seconds
+from nerfreg.bench.timing import Spread, in_turns, median_seconds, spread
 
 
 def test_calls_take_turns_after_a_warm_up() -> None:
@@ -41,3 +41,18 @@ def test_one_thread_inside_and_everything_restored_after_an_error() -> None:
     assert seen == [(1, False)] * 2
     assert torch.get_num_threads() == before
     assert gc.isenabled()
+
+
+def test_rounds_are_kept_apart(clock: SimpleNamespace) -> None:
+    durations = {"a": iter([1.0, 2.0, 3.0]), "b": iter([10.0, 20.0, 30.0])}
+
+    def take(name: str) -> None:
+        clock.now += next(durations[name])
+
+    assert in_turns([lambda: take("a"), lambda: take("b")], 3) == [[1.0, 2.0, 3.0], [10.0, 20.0, 30.0]]
+
+
+def test_spread_of_eleven_values() -> None:
+    # 0 to 10: the quantile q lies at 10 q.
+    assert spread([float(n) for n in reversed(range(11))]) == Spread(5.0, 1.0, 9.0)
+    assert spread([4.0]) == Spread(4.0, 4.0, 4.0)

@@ -1,1 +1,1 @@
-"""Error against run time of what nerfreg computes: the work-precision diagrams of `nerfreg bench`."""
+"""Error and cost against run time of what nerfreg computes: `nerfreg bench`."""

@@ -16,7 +16,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from nerfreg.bench.inputs import INPUTS, Input
-from nerfreg.bench.results import write_csv
+from nerfreg.bench.results import Outcome, write_csv
 from nerfreg.bench.rivals import RIVALS
 from nerfreg.bench.timing import median_seconds
 from nerfreg.errors import NerfregError
@@ -65,7 +65,7 @@ class Point:
     rays: int
 
 
-def run(folder: Path, sizes: Sizes) -> list[Path]:
+def run(folder: Path, sizes: Sizes) -> Outcome:
     """Measure all losses on all inputs and sizes; print a table; write a CSV file and a plot."""
     from nerfreg.bench.losses_report import draw, print_table
 
@@ -79,7 +79,7 @@ def run(folder: Path, sizes: Sizes) -> list[Path]:
     if not points:
         raise NerfregError("bench losses: no installed plugin ships exact values of its loss; see `nerfreg plugins`")
     print_table(points, left_out, sizes)
-    return [write_csv(folder / "losses.csv", points), *draw(points, sizes, folder / "losses")]
+    return Outcome([write_csv(folder / "losses.csv", points), *draw(points, sizes, folder / "losses")])
 
 
 def measure(info: PluginInfo, sizes: Sizes) -> list[Point]:

@@ -16,7 +16,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from nerfreg.bench.media import MEDIA, Medium, color, exact
-from nerfreg.bench.results import write_csv
+from nerfreg.bench.results import Outcome, write_csv
 from nerfreg.bench.samplers import SAMPLERS, Bundle, Sampled
 from nerfreg.bench.timing import median_seconds
 from nerfreg.rendering.compositing import composite
@@ -68,14 +68,14 @@ class Point:
         return value
 
 
-def run(folder: Path, sizes: Sizes) -> list[Path]:
+def run(folder: Path, sizes: Sizes) -> Outcome:
     """Measure all media, samplers, sizes and precisions; print a table; write a CSV file and a plot."""
     from nerfreg.bench.quadrature_report import draw, print_table
 
     dtypes = (torch.float32, torch.float64)
     points = [point for medium in MEDIA for dtype in dtypes for point in measure(medium, dtype, sizes)]
     print_table(points, sizes)
-    return [write_csv(folder / "quadrature.csv", points), *draw(points, sizes, folder / "quadrature")]
+    return Outcome([write_csv(folder / "quadrature.csv", points), *draw(points, sizes, folder / "quadrature")])
 
 
 def measure(medium: Medium, dtype: torch.dtype, sizes: Sizes) -> list[Point]:

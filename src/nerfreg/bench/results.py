@@ -1,10 +1,11 @@
-"""The points of a bench as a CSV file, and the looks of its table."""
+"""What a bench leaves: the points of a CSV file, a JSON record, and the looks of its table."""
 
 from __future__ import annotations
 
 import csv
+import json
 from collections.abc import Sequence
-from dataclasses import astuple, fields
+from dataclasses import astuple, dataclass, fields
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,21 @@ from rich import box
 from rich.table import Table
 
 from nerfreg.evaluation.files import atomic
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """files: what was written. record: the last line of what is printed, as JSON; None: there is none."""
+
+    files: list[Path]
+    record: dict[str, Any] | None = None
+
+
+def write_record(path: Path, record: dict[str, Any]) -> Outcome:
+    """One JSON object in a file of its own. Raises NerfregError where it cannot be written."""
+    with atomic(path) as part:
+        part.write_text(json.dumps(record, indent=2) + "\n", encoding="utf-8")
+    return Outcome([path], record)
 
 
 def write_csv(path: Path, points: Sequence[Any]) -> Path:

@@ -5,9 +5,11 @@ from __future__ import annotations
 import gc
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from statistics import median
 from time import perf_counter
 
+import numpy as np
 import torch
 
 CONDITIONS = "one thread; median of {repetitions} alternating repetitions after a warm-up"
@@ -19,16 +21,36 @@ def median_seconds(calls: Sequence[Callable[[], object]], repetitions: int) -> l
 
     Each is called once to warm up; then all take turns, so that whatever else the machine does falls on all alike.
     """
-    seconds: list[list[float]] = [[] for _ in calls]
     with _quiet():
         for call in calls:
             call()
-        for _ in range(repetitions):
-            for call, measured in zip(calls, seconds, strict=True):
-                begun = perf_counter()
-                call()
-                measured.append(perf_counter() - begun)
-    return [median(measured) for measured in seconds]
+        return [median(seconds) for seconds in in_turns(calls, repetitions)]
+
+
+def in_turns(calls: Sequence[Callable[[], object]], rounds: int) -> list[list[float]]:
+    """The run times of each call, in seconds: in every round all are called once, one after the other."""
+    seconds: list[list[float]] = [[] for _ in calls]
+    for _ in range(rounds):
+        for call, measured in zip(calls, seconds, strict=True):
+            begun = perf_counter()
+            call()
+            measured.append(perf_counter() - begun)
+    return seconds
+
+
+@dataclass(frozen=True)
+class Spread:
+    """Median, and the quantiles of 10 and 90 %."""
+
+    median: float
+    p10: float
+    p90: float
+
+
+def spread(values: Sequence[float]) -> Spread:
+    """Where most of some measured values lie."""
+    p10, middle, p90 = np.quantile(values, (0.1, 0.5, 0.9)).tolist()
+    return Spread(middle, p10, p90)
 
 
 @contextmanager
