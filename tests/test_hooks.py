@@ -43,7 +43,8 @@ def test_rooms_import_only_rooms_before_them() -> None:
 
 
 def test_rooms_do_not_know_the_command_line() -> None:
-    for room in ROOMS:
+    # the benches compose configurations themselves, as runs do
+    for room in ROOMS[:-1]:
         for path in (SOURCE / room).rglob("*.py"):
             assert not imported(path) & {"nerfreg.cli", "nerfreg.launch", "nerfreg.config", "nerfreg.runs"}, path
 

@@ -42,11 +42,11 @@ class RayEntropy(Regularizer):
     """Rays meet matter in few places: low entropy of alpha, on seen and unseen views (InfoNeRF).
 
     threshold: rays whose alphas sum to less are left out. unseen_rays: rays from poses between the training views,
-    as a share of the training rays.
+    as a share of a step's rays, whose place they take.
     """
 
-    # InfoNeRF's weight and threshold; CombiNeRF names none. Its unseen rays are as many as its training rays, which
-    # doubles the cost of a step: a quarter is the same compromise as for patches.
+    # InfoNeRF's weight and threshold; CombiNeRF names none. Its unseen rays are as many as its training rays (0.5
+    # here); they take the place of training rays, and a quarter leaves most of those.
     weight: float = 1e-3
     threshold: float = 0.1
     unseen_rays: float = 0.25

@@ -45,7 +45,8 @@ class Needs:
     neighbors: pairs of horizontally or vertically adjacent pixels, sampled at the same t. `"patch"` pairs rays of the
         patches (which are then at least 2 x 2) and costs no extra ray; `"extra"` renders one more ray, without a
         photograph behind it, for every training ray that lies in no patch.
-    unseen_rays: rays from poses between the training views, as a share of the training rays.
+    unseen_rays: rays from poses between the training views, as a share of a step's rays. They take the place of
+        training rays, so that a step costs no more.
     """
 
     patch_size: int = 0

@@ -77,6 +77,17 @@ def test_the_result_without_gradient_is_the_same() -> None:
     torch.testing.assert_close(kept_nothing, network(x).detach(), rtol=0, atol=0)
 
 
+@pytest.mark.parametrize("plain", [False, True])
+def test_a_column_in_the_gap_has_no_part(plain: bool) -> None:
+    torch.manual_seed(0)
+    network = Network([Linear(5, 8, "relu"), Linear(8, 3)])
+    x = torch.randn(10, 6, requires_grad=True)
+    value = network(x, gap=2, plain=plain)
+    torch.testing.assert_close(value, network(x[:, [0, 1, 3, 4, 5]], plain=True))
+    value.sum().backward()
+    assert x.grad is not None and (x.grad[:, 2] == 0).all() and (x.grad[:, [0, 1, 3, 4, 5]] != 0).any()
+
+
 def test_missing_and_scaled_inputs_are_zeros_and_factors() -> None:
     torch.manual_seed(0)
     network = Network(NETWORKS["relu"]())

@@ -119,7 +119,7 @@ def test_unseen_rays_start_between_the_cameras(layout: str, request: pytest.Fixt
     scene = request.getfixturevalue(layout)
     rays = draw(scene, Needs(unseen_rays=0.5))
     assert rays.unseen is not None
-    assert torch.equal(rays.unseen, torch.arange(64, 96)) and len(rays.targets) == 64
+    assert torch.equal(rays.unseen, torch.arange(32, 64)) and len(rays.targets) == 32
     positions = scene.cameras.poses[list(scene.train), :, 3]
     start = rays.origins[rays.unseen]
     assert (start[:, None] - positions).norm(dim=-1).min() > 0

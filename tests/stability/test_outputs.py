@@ -28,7 +28,7 @@ def samples() -> Samples:
     return Samples(torch.zeros(2, 3, 3), torch.eye(3)[:2], torch.ones(2, 3), density_width=32, color_width=16)
 
 
-@pytest.mark.parametrize("needs", [None, Needs(), Needs(4, 1.0, "extra", 2.0), Needs(patch_size=0, neighbors="patch")])
+@pytest.mark.parametrize("needs", [None, Needs(), Needs(4, 1.0, "extra", 0.5), Needs(patch_size=0, neighbors="patch")])
 def test_needs_that_can_be_met(needs: Needs | None) -> None:
     assert wrong_needs(needs) == []
 
@@ -40,7 +40,7 @@ def test_needs_that_can_be_met(needs: Needs | None) -> None:
         (Needs(patch_size=-1), "patch_size=-1: must be an integer, at least 0"),
         (Needs(patch_fraction=1.5), "patch_fraction=1.5: must be between 0 and 1"),
         (Needs(patch_fraction=float("nan")), "patch_fraction=nan: must be between 0 and 1"),
-        (Needs(unseen_rays=float("inf")), "unseen_rays=inf: must be finite, at least 0"),
+        (Needs(unseen_rays=float("inf")), "unseen_rays=inf: must be at least 0 and below 1"),
         (Needs(neighbors="diagonal"), "neighbors='diagonal': must be one of none, patch, extra"),
     ],
 )

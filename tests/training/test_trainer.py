@@ -39,7 +39,7 @@ def test_every_preset_and_plugin_trains(make: Callable[..., Trainer]) -> None:
 def test_the_same_seed_gives_the_same_weights(make: Callable[..., Trainer]) -> None:
     def weights(seed: int) -> torch.Tensor:
         trainer = make("+reg=combinerf", f"seed={seed}")
-        for _ in range(10):
+        for _ in range(200):
             trainer.step()
         return torch.cat([p.detach().flatten() for p in trainer.field.parameters()])
 

@@ -25,17 +25,25 @@ class Network(nn.Module):
         self.layers = nn.ModuleList(layers)
 
     def forward(
-        self, x: Float[Tensor, "points in"], scale: Float[Tensor, " all"] | None = None, plain: bool = False
+        self,
+        x: Float[Tensor, "points in"],
+        scale: Float[Tensor, " all"] | None = None,
+        gap: int | None = None,
+        plain: bool = False,
     ) -> Float[Tensor, "points out"]:
         """(P, in) to (P, out).
 
         scale: factor of each input feature. x may be narrower than the first layer; the missing features are 0 and
-        cost nothing. plain: use autograd even where the fused path could run, as is done on other devices than the CPU.
+        cost nothing. gap: a column of x that the first layer does not know and that is left out. plain: use autograd
+        even where the fused path could run, as is done on other devices than the CPU.
         """
         affine = None if plain or x.device.type != "cpu" else self._affine()
         if affine is None:
-            return self._plain(x, scale)
+            return self._plain(x if gap is None else torch.cat([x[:, :gap], x[:, gap + 1 :]], dim=1), scale)
         weights = list(affine)
+        if gap is not None:
+            known = weights[0]
+            weights[0] = torch.cat([known[:, :gap], known.new_zeros(len(known), 1), known[:, gap:]], dim=1)
         first = weights[0][:, : x.shape[1]]
         weights[0] = first if scale is None else first * scale[: x.shape[1]]
         activations = tuple(layer.activation for layer in self.layers)

@@ -33,10 +33,17 @@ class RayBatches:
         self.pixels = self._useful_pixels()
 
     def draw(self, needs: Needs) -> Rays:
-        """The rays of one step: pixels, then patches, then extra neighbours, then unseen views."""
+        """The rays of one step: pixels, then patches, then extra neighbours, then unseen views.
+
+        Patches and unseen rays take the place of random pixels; only extra neighbours are rendered beside them.
+        """
         side = max(needs.patch_size, 2 if needs.neighbors == "patch" else 0)
-        patches = self._patch_count(side, needs.patch_fraction)
-        singles = self.count - patches * side**2
+        unseen_count = round(self.count * needs.unseen_rays)
+        supervised = self.count - unseen_count
+        if supervised < 1:
+            raise NerfregError(f"unseen_rays={needs.unseen_rays}: leaves none of {self.count} rays to learn from")
+        patches = self._patch_count(supervised, side, needs.patch_fraction)
+        singles = supervised - patches * side**2
         image, pixel = self._random_pixels(singles)
         groups = [torch.arange(singles)]
         neighbors = []
@@ -50,13 +57,12 @@ class RayBatches:
         if needs.neighbors == "extra":
             parts.append(self._neighbor_rays(image[:singles], pixel[:singles]))
             groups.append(torch.arange(singles))
-            neighbors.append(torch.stack([torch.arange(singles), self.count + torch.arange(singles)], dim=1))
+            neighbors.append(torch.stack([torch.arange(singles), supervised + torch.arange(singles)], dim=1))
         unseen = None
-        if needs.unseen_rays > 0:
-            count, first = round(self.count * needs.unseen_rays), sum(len(part[0]) for part in parts)
-            parts.append(self._unseen_rays(count))
-            groups.append(singles + patches + torch.arange(count))
-            unseen = first + torch.arange(count)
+        if unseen_count:
+            unseen = sum(len(part[0]) for part in parts) + torch.arange(unseen_count)
+            parts.append(self._unseen_rays(unseen_count))
+            groups.append(singles + patches + torch.arange(unseen_count))
         origins, directions = (torch.cat(columns) for columns in zip(*parts, strict=True))
         near, far = clip_to_box(origins, directions, self.scene.box, self.scene.near, self.scene.far)
         targets, background = self._targets(image, pixel, len(origins))
@@ -76,13 +82,13 @@ class RayBatches:
             )
         )
 
-    def _patch_count(self, side: int, fraction: float) -> int:
+    def _patch_count(self, supervised: int, side: int, fraction: float) -> int:
         """How many patches make up this share of the rays: at least one where any are needed."""
         if side == 0:
             return 0
-        if side**2 > self.count:
+        if side**2 > supervised:
             raise NerfregError(f"train.rays={self.count}: too few for a patch of {side} x {side} pixels")
-        return max(1, int(self.count * fraction / side**2))
+        return max(1, int(supervised * fraction / side**2))
 
     def _useful_pixels(self) -> Int[Tensor, "useful 3"]:
         """(image, x, y) of all training pixels whose rays meet the box."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple, Protocol, runtime_checkable
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import torch
 from jaxtyping import Bool, Float, Int
@@ -153,7 +153,21 @@ class Evaluation(NamedTuple):
 
     def ordered(self, order: Int[Tensor, "rays samples"]) -> Evaluation:
         """The samples of each ray in another order."""
-        return Evaluation(self.density.gather(1, order), self.raw, self.rows.gather(1, order))
+        return Evaluation(_Permute.apply(self.density, order), self.raw, self.rows.gather(1, order))
+
+
+class _Permute(torch.autograd.Function):
+    """`values.gather(1, order)` where every row of `order` is a permutation: nothing has to be added up backward."""
+
+    @staticmethod
+    def forward(ctx: Any, values: Tensor, order: Tensor) -> Tensor:
+        ctx.save_for_backward(order)
+        return values.gather(1, order)
+
+    @staticmethod
+    def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor, None]:
+        [order] = ctx.saved_tensors
+        return torch.empty_like(grads[0]).scatter_(1, order, grads[0]), None
 
 
 def _harmonics(directions: Tensor, ray: Tensor, sample: Tensor) -> Tensor:

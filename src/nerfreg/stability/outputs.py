@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Sequence
 from dataclasses import fields, is_dataclass
 from functools import cached_property
@@ -19,7 +18,7 @@ NEIGHBORS = ("none", "patch", "extra")
 
 
 def wrong_needs(needs: object) -> list[str]:
-    """`nerfreg_needs` returns None or a Needs with a size from 0, a share up to 1, a share from 0 and known names."""
+    """`nerfreg_needs` returns None or a Needs with a size from 0, a share up to 1, one below 1 and known names."""
     if needs is None:
         return []
     if not isinstance(needs, Needs):
@@ -29,8 +28,8 @@ def wrong_needs(needs: object) -> list[str]:
         wrong.append(f"patch_size={needs.patch_size!r}: must be an integer, at least 0")
     if not 0 <= needs.patch_fraction <= 1:
         wrong.append(f"patch_fraction={needs.patch_fraction!r}: must be between 0 and 1")
-    if not 0 <= needs.unseen_rays < math.inf:
-        wrong.append(f"unseen_rays={needs.unseen_rays!r}: must be finite, at least 0")
+    if not 0 <= needs.unseen_rays < 1:
+        wrong.append(f"unseen_rays={needs.unseen_rays!r}: must be at least 0 and below 1")
     if needs.neighbors not in NEIGHBORS:
         wrong.append(f"neighbors={needs.neighbors!r}: must be one of {', '.join(NEIGHBORS)}")
     return wrong
