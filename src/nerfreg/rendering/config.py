@@ -15,8 +15,8 @@ class SamplerConfig:
     coarse, fine: samples per ray of the first and second kind (64 + 128 in the paper).
     spacing: "linear" spreads the coarse samples evenly in distance, "disparity" in its reciprocal.
     skip_resolution: cells a side of the occupancy grid that lets test views skip empty space.
-    view_samples: intervals a ray of a test view is cut into. view_block: side of the blocks of pixels that share where
-    they look (1: none do).
+    view_samples: intervals a ray of a test view is cut into, where the `scout_samples` of a scout, one for each block of
+    `view_block` x `view_block` pixels, have found density.
     """
 
     coarse: int = 64
@@ -25,8 +25,10 @@ class SamplerConfig:
     skip_resolution: int = 128
     view_samples: int = 64
     view_block: int = 4
+    scout_samples: int = 64
 
     def __post_init__(self) -> None:
         require_range("sampler", self, coarse=(1, math.inf), fine=(0, math.inf), skip_resolution=(1, 512))
         require_range("sampler", self, view_samples=(1, math.inf), view_block=(1, 16))
+        require_range("sampler", self, scout_samples=(1, math.inf))
         require_choice("sampler", self, "spacing", ("linear", "disparity"))

@@ -47,7 +47,7 @@ class ViewRenderer:
     """Renders images without chance and without plugins, and looks only where there is something to see.
 
     A scout, one ray through the middle of each block of pixels, finds where along it there is density
-    (`sampler.coarse` samples). The rays of the block's pixels are then cut into `sampler.view_samples` intervals of
+    (`sampler.scout_samples`). The rays of the block's pixels are then cut into `sampler.view_samples` intervals of
     equal share in what this scout and those around it have found. Where the occupancy grid is empty, and behind
     what is opaque, the field is not evaluated.
 
@@ -87,7 +87,7 @@ class ViewRenderer:
 
     def _scout(self, rays: _Blocks, hit: Int[Tensor, " hit"]) -> _Scouts:
         """Follow the middle of every block that meets the box."""
-        count, samples = len(rays.near), self.sampler.coarse
+        count, samples = len(rays.near), self.sampler.scout_samples
         edges, weights, light = (rays.near.new_zeros(count, samples + more) for more in (1, 0, 0))
         for chunk in hit.split(SAMPLES // samples or 1):
             block = rays.picked(chunk)
