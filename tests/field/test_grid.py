@@ -118,3 +118,30 @@ def test_silenced_levels_get_no_gradient() -> None:
     end = int(HASHED.offsets[3])
     assert grid.table.grad[:end].abs().sum() > 0
     assert np.all(grid.table.grad[end:].numpy() == 0)
+
+
+def test_encodings_that_share_a_gradient_give_the_sum_of_theirs() -> None:
+    torch.manual_seed(0)
+    grid = HashGrid(HASHED)
+    first, second = torch.rand(200, 3, requires_grad=True), torch.rand(300, 3)
+
+    def loss() -> Tensor:
+        return grid(first, 8).square().sum() + grid(second, 5).sum()
+
+    expected = torch.autograd.grad(loss(), (grid.table, first))
+    with grid.one_gradient():
+        shared = loss()
+    # twice through the same graph, a pass that does not reach the table in between, then into .grad
+    for _ in range(2):
+        for value, wanted in zip(
+            torch.autograd.grad(shared, (grid.table, first), retain_graph=True), expected, strict=True
+        ):
+            torch.testing.assert_close(value, wanted)
+        torch.testing.assert_close(torch.autograd.grad(shared, first, retain_graph=True)[0], expected[1])
+    shared.backward()
+    assert grid.table.grad is not None
+    torch.testing.assert_close(grid.table.grad, expected[0])
+    # what else depends on the table is added as ever
+    with grid.one_gradient():
+        both = loss() + grid.table.sum()
+    torch.testing.assert_close(torch.autograd.grad(both, grid.table)[0], expected[0] + 1)

@@ -187,30 +187,68 @@ def _backward_positions(positions, table, grad, offsets, resolutions, dense, mas
                 _slope(entries, vertices, inside, first, second, start, count, cells, position_grad)
 
 
+class SharedTable:
+    """The table, for several encodings whose gradients are added up in one buffer, instead of one each.
+
+    Nothing but encodings may see `table`, or what they add late would be missed.
+    """
+
+    def __init__(self, table: Float[Tensor, "entries 2"]) -> None:
+        self._buffer: Tensor | None = None
+        self.table: Tensor = _Share.apply(table, self)
+
+    def buffer(self) -> tuple[Tensor, bool]:
+        """The buffer of this backward pass, and whether it is new: then autograd has to be given it."""
+        if self._buffer is not None:
+            return self._buffer, False
+        self._buffer = torch.zeros(self.table.shape)
+        # A pass that ends elsewhere (torch.autograd.grad) does not come by `_Share`.
+        torch.autograd.Variable._execution_engine.queue_callback(self.forget)
+        return self._buffer, True
+
+    def forget(self) -> None:
+        self._buffer = None
+
+
+class _Share(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx: Any, table: Tensor, shared: SharedTable) -> Tensor:
+        ctx.shared = shared
+        return table.view_as(table)
+
+    @staticmethod
+    def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor, None]:
+        ctx.shared.forget()
+        return grads[0], None
+
+
 class _Encode(torch.autograd.Function):
     @staticmethod
-    def forward(ctx: Any, positions: Tensor, table: Tensor, layout: GridLayout, levels: int) -> Tensor:
+    def forward(
+        ctx: Any, positions: Tensor, table: Tensor, layout: GridLayout, levels: int, shared: SharedTable | None
+    ) -> Tensor:
         features = torch.empty(FEATURES * levels, len(positions))
         rows = positions.detach().t().contiguous()
         _forward(rows.numpy(), _pairs(table), *_arguments(layout), get_num_threads(), features.numpy())
         ctx.save_for_backward(rows, table)
-        ctx.layout = layout
+        ctx.layout, ctx.shared = layout, shared
         return features.t()
 
     @staticmethod
     def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor | None, ...]:
         rows, table = ctx.saved_tensors
         positions, grad = rows.numpy(), grads[0].t().contiguous().numpy()
-        shared = *_arguments(ctx.layout), get_num_threads()
+        arguments = *_arguments(ctx.layout), get_num_threads()
         table_grad = position_grad = None
         if ctx.needs_input_grad[1]:
-            table_grad = torch.zeros(table.shape)
-            _backward_table(positions, grad, *shared, _pairs(table_grad))
+            buffer, new = (torch.zeros(table.shape), True) if ctx.shared is None else ctx.shared.buffer()
+            _backward_table(positions, grad, *arguments, _pairs(buffer))
+            table_grad = buffer if new else None
         if ctx.needs_input_grad[0]:
             position_grad = torch.zeros(rows.shape)
-            _backward_positions(positions, _pairs(table), grad, *shared, position_grad.numpy())
+            _backward_positions(positions, _pairs(table), grad, *arguments, position_grad.numpy())
             position_grad = position_grad.t()
-        return position_grad, table_grad, None, None
+        return position_grad, table_grad, None, None, None
 
 
 def _pairs(table: Tensor) -> np.ndarray:
@@ -223,7 +261,12 @@ def _arguments(layout: GridLayout) -> tuple[np.ndarray, np.ndarray, np.ndarray, 
 
 
 def encode(
-    positions: Float[Tensor, "points 3"], table: Float[Tensor, "entries 2"], layout: GridLayout, levels: int
+    positions: Float[Tensor, "points 3"],
+    table: Float[Tensor, "entries 2"] | SharedTable,
+    layout: GridLayout,
+    levels: int,
 ) -> Float[Tensor, "points features"]:
     """The same as `grid_torch.encode` for float32 on the CPU; the result is stored feature by feature."""
-    return _Encode.apply(positions, table, layout, levels)
+    if isinstance(table, SharedTable):
+        return _Encode.apply(positions, table.table, layout, levels, table)
+    return _Encode.apply(positions, table, layout, levels, None)

@@ -15,8 +15,8 @@ class SamplerConfig:
     coarse, fine: samples per ray of the first and second kind (64 + 128 in the paper).
     spacing: "linear" spreads the coarse samples evenly in distance, "disparity" in its reciprocal.
     skip_resolution: cells a side of the occupancy grid that lets test views skip empty space.
-    view_samples: intervals a ray of a test view is cut into, where the `scout_samples` of a scout, one for each block of
-    `view_block` x `view_block` pixels, have found density.
+    view_samples: intervals a ray of a test view is cut into, most of them where a scout has found density.
+    view_block, scout_samples: one scout, with so many samples, for every block of pixels of this side.
     """
 
     coarse: int = 64

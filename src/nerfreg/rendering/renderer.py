@@ -48,6 +48,10 @@ class Renderer:
 
         Each point is evaluated once. Rays of one group get the same t, drawn from the mean of the group's weights.
         """
+        with self.field.grid.one_gradient():
+            return self._render(rays, step)
+
+    def _render(self, rays: Rays, step: Step) -> Rendering:
         generator = step.generator if self.jitter else None
         near, far = self.hooks.ray_bounds(rays, step)
         near, far = _shared(near, rays.groups, "amin"), _shared(far, rays.groups, "amax")
