@@ -141,19 +141,25 @@ def _slope(entries, vertices, inside, first, second, start, count, cells, positi
 
 
 @no_type_check
+@njit(**COMPILED)
+def _forward_share(positions, table, offsets, resolutions, dense, mask, features, first, stop):
+    vertices, inside = np.empty((8, BLOCK), np.int32), np.empty((3, BLOCK), np.float32)
+    for level in range(len(features) // 2):
+        entries = table[offsets[level] : offsets[level + 1]]
+        for start in range(first, stop, BLOCK):
+            count = min(BLOCK, stop - start)
+            _locate(positions, start, count, resolutions[level], dense[level], mask, vertices, inside)
+            _gather(entries, vertices, inside, features[2 * level], features[2 * level + 1], start, count)
+
+
+@no_type_check
 @njit(parallel=True, **COMPILED)
 def _forward(positions, table, offsets, resolutions, dense, mask, threads, features):
     points = positions.shape[1]
     share = (points + threads - 1) // threads
     for thread in prange(threads):
-        vertices, inside = np.empty((8, BLOCK), np.int32), np.empty((3, BLOCK), np.float32)
         stop = min(points, (thread + 1) * share)
-        for level in range(len(features) // 2):
-            entries = table[offsets[level] : offsets[level + 1]]
-            for start in range(thread * share, stop, BLOCK):
-                count = min(BLOCK, stop - start)
-                _locate(positions, start, count, resolutions[level], dense[level], mask, vertices, inside)
-                _gather(entries, vertices, inside, features[2 * level], features[2 * level + 1], start, count)
+        _forward_share(positions, table, offsets, resolutions, dense, mask, features, thread * share, stop)
 
 
 @no_type_check
@@ -229,7 +235,12 @@ class _Encode(torch.autograd.Function):
     ) -> Tensor:
         features = torch.empty(FEATURES * levels, len(positions))
         rows = positions.detach().t().contiguous()
-        _forward(rows.numpy(), _pairs(table), *_arguments(layout), get_num_threads(), features.numpy())
+        encoded = rows.numpy(), _pairs(table), *_arguments(layout)
+        if get_num_threads() == 1:
+            # Not every threading layer of numba may be entered by several threads at once, as `in_shares` would.
+            _forward_share(*encoded, features.numpy(), 0, len(positions))
+        else:
+            _forward(*encoded, get_num_threads(), features.numpy())
         ctx.save_for_backward(rows, table)
         ctx.layout, ctx.shared = layout, shared
         return features.t()

@@ -11,6 +11,7 @@ from concurrent.futures import ThreadPoolExecutor
 from functools import cache
 from typing import TypeVar
 
+import numba
 import torch
 
 Result = TypeVar("Result")
@@ -36,9 +37,15 @@ def in_shares(count: int, chunk: int, work: Callable[[int, int], Result]) -> lis
     return list(_pool(threads).map(run, shares))
 
 
+def _alone() -> None:
+    """What a worker calls runs in its own thread, be it torch's or numba's."""
+    torch.set_num_threads(1)
+    numba.set_num_threads(1)
+
+
 @cache
 def _pool(threads: int) -> ThreadPoolExecutor:
-    pool = ThreadPoolExecutor(threads, "nerfreg", initializer=lambda: torch.set_num_threads(1))
+    pool = ThreadPoolExecutor(threads, "nerfreg", initializer=_alone)
     list(pool.map(lambda _: torch.get_num_threads(), range(threads)))
     torch.set_num_threads(threads)  # the number is kept per thread, but new threads take the latest
     return pool

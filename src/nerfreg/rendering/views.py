@@ -11,6 +11,7 @@ from torch.nn import functional
 
 from nerfreg.field.directions import spherical_harmonics
 from nerfreg.field.radiance_field import RadianceField
+from nerfreg.field.workers import in_shares
 from nerfreg.rays.clipping import clip_to_box
 from nerfreg.rendering.compositing import integrate, transmittance
 from nerfreg.rendering.config import SamplerConfig
@@ -20,8 +21,8 @@ from nerfreg.rendering.sampling import edges_between, equal_shares, stratified
 from nerfreg.scenes.cameras import Cameras
 from nerfreg.scenes.scene import Scene
 
-SAMPLES = 2**17
-"""Samples rendered at once."""
+SAMPLES = 2**15
+"""Samples that a thread renders at once: their positions and features stay in the caches."""
 
 FLOOR = 0.1
 """This share of a ray's intervals is spread evenly over it, the rest lies where density was found."""
@@ -60,8 +61,16 @@ class ViewRenderer:
         self.scene = scene
         self.occupancy = OccupancyGrid(field, sampler.skip_resolution)
         self.background = torch.zeros(3) if scene.background is None else scene.background
-        self.points = 0
-        self.colors = 0
+        self._points: list[int] = []
+        self._colors: list[int] = []
+
+    @property
+    def points(self) -> int:
+        return sum(self._points)
+
+    @property
+    def colors(self) -> int:
+        return sum(self._colors)
 
     @torch.no_grad()
     def view(self, cameras: Cameras, view: int, stride: int = 1) -> View:
@@ -79,8 +88,13 @@ class ViewRenderer:
         hit = (far > near).view(len(image), -1).any(dim=1).nonzero().squeeze(1)
         rays = rays.to(device)
         scouts = self._scout(rays, hit).shared(blocks)
-        for chunk in hit.split(max(SAMPLES // (side**2 * self.sampler.view_samples), 1)):
-            image[chunk] = self._render(rays.picked(chunk), *scouts.cuts(chunk, self.sampler.view_samples)).cpu()
+        count, size = self.sampler.view_samples, max(SAMPLES // (side**2 * self.sampler.view_samples), 1)
+
+        def render(first: int, last: int) -> None:
+            for chunk in hit[first:last].split(size):
+                image[chunk] = self._render(rays.picked(chunk), *scouts.cuts(chunk, count)).cpu()
+
+        in_shares(len(hit), size, render)
         image = image.view(*blocks, side, side, 5).transpose(1, 2).flatten(2, 3).flatten(0, 1)
         image = image[: len(rows), : len(columns)]
         return View(image[..., :3].contiguous(), image[..., 3].contiguous(), image[..., 4].contiguous())
@@ -89,18 +103,23 @@ class ViewRenderer:
         """Follow the middle of every block that meets the box."""
         count, samples = len(rays.near), self.sampler.scout_samples
         edges, weights, light = (rays.near.new_zeros(count, samples + more) for more in (1, 0, 0))
-        for chunk in hit.split(SAMPLES // samples or 1):
-            block = rays.picked(chunk)
-            near, far = block.near.amin(dim=1), block.far.amax(dim=1)
-            t = stratified(near, far, samples, self.sampler.spacing)
-            middle = functional.normalize(block.directions.mean(dim=1), dim=-1)
-            positions = block.origins.mean(dim=1)[:, None] + middle[:, None] * t[..., None]
-            density = self._density(positions, torch.ones_like(t, dtype=torch.bool))[0]
-            edges[chunk] = edges_between(t, near, far)
-            found = integrate(density, edges[chunk])
-            weights[chunk] = found.weights
-            # The pixels may meet something one interval later than the scout.
-            light[chunk] = functional.pad(found.log_transmittance, (1, 0))[:, :-1].exp()
+        size = max(SAMPLES // samples, 1)
+
+        def follow(first: int, last: int) -> None:
+            for chunk in hit[first:last].split(size):
+                block = rays.picked(chunk)
+                near, far = block.near.amin(dim=1), block.far.amax(dim=1)
+                t = stratified(near, far, samples, self.sampler.spacing)
+                middle = functional.normalize(block.directions.mean(dim=1), dim=-1)
+                positions = block.origins.mean(dim=1)[:, None] + middle[:, None] * t[..., None]
+                density = self._density(positions, torch.ones_like(t, dtype=torch.bool))[0]
+                edges[chunk] = edges_between(t, near, far)
+                found = integrate(density, edges[chunk])
+                weights[chunk] = found.weights
+                # The pixels may meet something one interval later than the scout.
+                light[chunk] = functional.pad(found.log_transmittance, (1, 0))[:, :-1].exp()
+
+        in_shares(len(hit), size, follow)
         return _Scouts(edges, weights, light)
 
     def _render(
@@ -117,7 +136,7 @@ class ViewRenderer:
         density, raw, places = self._density(positions, lit & (own.diff(dim=1) > 0))
         result = integrate(density, own)
         ray, sample = (result.weights > MIN_WEIGHT).nonzero(as_tuple=True)
-        self.colors += len(ray)
+        self._colors.append(len(ray))
         color = self.field.color(
             raw.index_select(0, places[ray, sample]), spherical_harmonics(directions).index_select(0, ray)
         )
@@ -131,7 +150,7 @@ class ViewRenderer:
         """Density where asked for and not known to be 0; output of the density network; each sample's row of it."""
         flat = positions.view(-1, 3)
         seen = (asked.view(-1) & self.occupancy.contains(flat)).nonzero().squeeze(1)
-        self.points += len(seen)
+        self._points.append(len(seen))
         raw = self.field.raw_density(flat.index_select(0, seen))
         density = raw.new_zeros(len(flat)).index_copy(0, seen, self.field.density(raw))
         places = seen.new_zeros(len(flat)).index_copy(0, seen, torch.arange(len(seen), device=seen.device))
