@@ -21,8 +21,8 @@ from nerfreg.rendering.sampling import edges_between, equal_shares, stratified
 from nerfreg.scenes.cameras import Cameras
 from nerfreg.scenes.scene import Scene
 
-SAMPLES = 2**15
-"""Samples that a thread renders at once: their positions and features stay in the caches."""
+SAMPLES = 2**16
+"""Samples that a thread renders at once."""
 
 FLOOR = 0.1
 """This share of a ray's intervals is spread evenly over it, the rest lies where density was found."""
