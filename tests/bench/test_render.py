@@ -45,8 +45,8 @@ def test_evaluations_are_those_of_the_timed_views(run: Path, monkeypatch: pytest
 
     def view(self: ViewRenderer, cameras, view: int, stride: int = 1) -> None:
         seen.append(view)
-        self.points += 24 * 16 * (1000 if len(seen) == 1 else len(seen))
-        self.colors += 24 * 16
+        self._points.append(24 * 16 * (1000 if len(seen) == 1 else len(seen)))
+        self._colors.append(24 * 16)
 
     monkeypatch.setattr(ViewRenderer, "view", view)
     measured = measure(field, config.sampler, scene, 3)

@@ -118,6 +118,34 @@ def test_what_lies_behind_something_opaque_is_not_looked_at() -> None:
     assert renderer.colors < renderer.points
 
 
+class BallBeforeWall(Ball):
+    """A ball in the middle, and a wall behind it as seen from a camera."""
+
+    def __init__(self, box: torch.Tensor, camera: torch.Tensor) -> None:
+        super().__init__(box)
+        self.camera = torch.nn.functional.normalize(camera, dim=0)
+
+    def raw_density(self, positions: torch.Tensor, active: float | None = None) -> torch.Tensor:
+        solid = (positions.norm(dim=-1) < 0.4) | (positions @ self.camera < -0.45)
+        raw = torch.zeros(len(positions), 16)
+        raw[:, 0] = torch.where(solid, 8.0, -20.0)
+        return raw
+
+
+def test_past_the_rim_of_something_the_rest_is_seen() -> None:
+    # A scout that meets the ball is stopped by it, and some pixels of its block look past the ball, at the wall.
+    there = scene()
+    field = BallBeforeWall(there.box, there.cameras.poses[there.test[0], :, 3])
+    views = [
+        ViewRenderer(field, SamplerConfig(view_block=block), there).view(there.cameras, there.test[0])
+        for block in (1, 4)
+    ]
+    holes = (views[0].opacity > 0.9) & (views[1].opacity < 0.5)
+    assert (views[0].opacity > 0.9).sum() > 500
+    # all around the ball there would be 40; one or two rays only just meet the end of the wall
+    assert holes.sum() < 5
+
+
 def ball_depth(there: Scene) -> torch.Tensor:
     """Distance (H, W) at which the rays of the first test view meet the ball, infinite where they do not."""
     y, x = torch.meshgrid(torch.arange(48), torch.arange(48), indexing="ij")

@@ -116,8 +116,7 @@ class ViewRenderer:
                 edges[chunk] = edges_between(t, near, far)
                 found = integrate(density, edges[chunk])
                 weights[chunk] = found.weights
-                # The pixels may meet something one interval later than the scout.
-                light[chunk] = functional.pad(found.log_transmittance, (1, 0))[:, :-1].exp()
+                light[chunk] = found.log_transmittance.exp()
 
         in_shares(len(hit), size, follow)
         return _Scouts(edges, weights, light)
@@ -175,16 +174,22 @@ class _Blocks:
 
 @dataclass(frozen=True)
 class _Scouts:
-    """What was found in each block. light: how much reaches each interval, or the one before it."""
+    """What was found in each block. light: how much reaches each interval."""
 
     edges: Float[Tensor, "blocks edges"]
     weights: Float[Tensor, "blocks samples"]
     light: Float[Tensor, "blocks samples"]
 
     def shared(self, blocks: torch.Size) -> _Scouts:
-        """Weights become the largest around them, in the eight adjacent blocks and one interval along the ray."""
-        around = functional.max_pool3d(self.weights.view(1, 1, *blocks, -1), 3, stride=1, padding=1)
-        return _Scouts(self.edges, around.view(self.weights.shape), self.light)
+        """Weights and light become the largest around them: in the adjacent blocks and one interval along the ray.
+
+        Where a block holds the rim of something, its pixels see past it what its own scout did not.
+        """
+
+        def around(values: Float[Tensor, "blocks samples"]) -> Float[Tensor, "blocks samples"]:
+            return functional.max_pool3d(values.view(1, 1, *blocks, -1), 3, stride=1, padding=1).view(values.shape)
+
+        return _Scouts(self.edges, around(self.weights), around(self.light))
 
     def cuts(
         self, chunk: Int[Tensor, " picked"], count: int
