@@ -36,6 +36,10 @@ hookspec = pluggy.HookspecMarker(PROJECT)
 hookimpl = pluggy.HookimplMarker(PROJECT)
 
 
+NEIGHBORS = ("none", "patch", "extra")
+"""Where adjacent pixels come from; of two wishes the later in this list wins."""
+
+
 @dataclass(frozen=True)
 class Needs:
     """What a plugin wants rendered beside random training pixels. The union over all active plugins is rendered.
@@ -55,11 +59,10 @@ class Needs:
     unseen_rays: float = 0.0
 
     def __or__(self, other: Needs) -> Needs:
-        order = ("none", "patch", "extra")
         return Needs(
             max(self.patch_size, other.patch_size),
             max(self.patch_fraction, other.patch_fraction),
-            max(self.neighbors, other.neighbors, key=order.index),
+            max(self.neighbors, other.neighbors, key=NEIGHBORS.index),
             max(self.unseen_rays, other.unseen_rays),
         )
 

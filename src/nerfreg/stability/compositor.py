@@ -5,12 +5,12 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+from nerfreg.finite import not_finite
 from nerfreg.rendering.compositing import Composite, composite
 from nerfreg.stability.cases import SIZES, Case
 from nerfreg.stability.exact import composite_exactly, relative_error
 from nerfreg.stability.gradients import wrong_gradient
 from nerfreg.stability.inputs import Inputs
-from nerfreg.stability.outputs import not_finite
 from nerfreg.stability.report import Report, Spot
 
 NAME = "compositing"

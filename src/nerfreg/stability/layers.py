@@ -11,12 +11,13 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from nerfreg.field.layers import ACTIVATIONS, AffineLayer
+from nerfreg.finite import not_finite
 from nerfreg.stability.cases import CASES
 from nerfreg.stability.driver import FEATURES, GEOMETRY, HIDDEN, Driver
 from nerfreg.stability.exact import relative_error
 from nerfreg.stability.inputs import DTYPES
 from nerfreg.stability.losses import broken_promises
-from nerfreg.stability.outputs import not_finite, wrong_layer
+from nerfreg.stability.outputs import wrong_layer
 from nerfreg.stability.report import LIMITS, Report, Spot
 from nerfreg.stability.subject import Subject
 

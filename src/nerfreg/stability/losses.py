@@ -7,6 +7,7 @@ from dataclasses import dataclass, fields, replace
 import torch
 from torch import Tensor
 
+from nerfreg.finite import not_finite
 from nerfreg.hooks import Rays, Rendering
 from nerfreg.registry import Term
 from nerfreg.stability.cases import SIZES, Case
@@ -14,7 +15,7 @@ from nerfreg.stability.driver import Driver
 from nerfreg.stability.exact import relative_error
 from nerfreg.stability.gradients import wrong_gradient
 from nerfreg.stability.inputs import Inputs
-from nerfreg.stability.outputs import Untouched, not_finite, wrong_terms
+from nerfreg.stability.outputs import Untouched, wrong_terms
 from nerfreg.stability.report import LIMITS, Report, Spot
 from nerfreg.stability.subject import Subject
 

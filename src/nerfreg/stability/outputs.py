@@ -10,11 +10,9 @@ import torch
 from torch import Tensor, nn
 
 from nerfreg.field.layers import AffineLayer
-from nerfreg.finite import not_finite as not_finite
-from nerfreg.hooks import Needs, Rays, Rendering, Samples
+from nerfreg.finite import not_finite
+from nerfreg.hooks import NEIGHBORS, Needs, Rays, Rendering, Samples
 from nerfreg.registry import Term
-
-NEIGHBORS = ("none", "patch", "extra")
 
 
 def wrong_needs(needs: object) -> list[str]:
