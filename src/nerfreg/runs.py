@@ -219,6 +219,7 @@ def _about(config: Config, scene: Scene) -> dict[str, Any]:
     return {
         "scene": scene.name,
         "views": len(scene.train),
+        "held_out": config.scene.held_out is not None,
         "train_views": [_label(scene, view) for view in scene.train],
         "regularizers": {name: asdict(plugin) for name, plugin in config.reg.items()},
         "seed": config.seed,

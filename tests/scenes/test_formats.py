@@ -228,3 +228,18 @@ def test_fern(data):
     assert scene.far == pytest.approx(1.1 * 78.719253 * corner, rel=1e-4)
     assert scene.cameras.axes.mean(0)[2] < -0.99
     assert scene.read_image(0).shape == (378, 504, 3)
+
+
+def test_held_out_training_views_are_scored_and_no_test_image_is_read(blender, llff, transforms):
+    for image in (blender / "test").iterdir():
+        image.unlink()
+    scene = Blender(path=str(blender), held_out=[1]).load()
+    assert (scene.train, scene.test) == ((0,), (1,))
+    # Bounds come from what trains: view 2 stands at x = 1, and nothing is known of view 1.
+    scene = LLFF(path=str(llff), held_out=[0]).load()
+    assert (scene.train, scene.test) == ((2,), (1,))
+    assert float(scene.box[0, 0]) == pytest.approx(1 - 0.4 * scene.box[0, 2].abs())
+    scene = Transforms(path=str(transforms), held_out=[0, 6]).load()
+    assert (scene.train, scene.test) == ((2, 3, 4, 5, 6), (1, 7))
+    scene = Procedural(size=8, views=3, held_out=[2]).load()
+    assert (scene.train, scene.test, scene.labels[2]) == ((0, 1), (2,), "train/2")

@@ -10,6 +10,7 @@ from nerfreg.scenes.splits import (
     choose_from_two,
     evenly,
     every_8,
+    hold_out,
     nerf_synthetic_8,
 )
 
@@ -83,3 +84,15 @@ def test_two_files_are_not_one_list():
         choose_from_two("every_8", (100, 200), None, None, None)
     with pytest.raises(NerfregError, match="only 100"):
         choose_from_two(None, (100, 200), 101, None, None)
+
+
+def test_held_out_views_take_the_place_of_the_test_views():
+    # Positions count in the list of training views, not among all images.
+    assert hold_out(Split((1, 10, 19), (0, 8, 16)), [1]) == Split((1, 19), (10,))
+    assert hold_out(Split((26, 86, 2), (100,)), [2, 0]) == Split((86,), (26, 2))
+
+
+@pytest.mark.parametrize("positions", [[], [3], [-1], [0, 1, 2]])
+def test_not_every_view_can_be_held_out(positions):
+    with pytest.raises(NerfregError, match=r"scene\.held_out=\[.*3 training views"):
+        hold_out(Split((1, 10, 19), (0, 8, 16)), positions)

@@ -28,6 +28,8 @@ class SceneConfig:
     path: where the files lie. views: number of training views.
     split: "llff", "nerf_synthetic_8", "every_8" or "lists"; None: what is usual for the format.
     train, test: view numbers for the split "lists".
+    held_out: which of the training views (0: the first) are left out of training and scored in place of the test
+        views, which are then not even read. For choices that must not look at a test view.
     layout: how the cameras stand, "orbit" (around an object) or "forward" (side by side).
     background: "white" or "black", behind images with alpha.
     near, far: bounds of every ray. box: lower and upper corner of the space that is modelled. World units.
@@ -38,6 +40,7 @@ class SceneConfig:
     split: str | None = None
     train: list[int] | None = None
     test: list[int] | None = None
+    held_out: list[int] | None = None
     layout: str | None = None
     background: str = "white"
     near: float | None = None
@@ -56,6 +59,10 @@ class SceneConfig:
     def split_of_two(self, train_count: int, test_count: int) -> splits.Split:
         """The split of frames that come in a training and a test file, each numbered from 0."""
         return splits.choose_from_two(self.split, (train_count, test_count), self.views, self.train, self.test)
+
+    def after_holding_out(self, split: splits.Split) -> splits.Split:
+        """The split, or what `held_out` makes of it."""
+        return split if self.held_out is None else splits.hold_out(split, self.held_out)
 
 
 def assemble(

@@ -40,7 +40,7 @@ class LLFF(SceneConfig):
         files = list_images(images)
         if len(files) != len(poses):
             raise NerfregError(f"{images}: holds {len(files)} images, but {path} has {len(poses)} poses")
-        split = self.split_of_one(len(files))
+        split = self.after_holding_out(self.split_of_one(len(files)))
         header = check_headers([files[view] for view in (*split.train, *split.test)])
         # The file speaks of the photographs as they were taken, these may be smaller.
         scale = np.array([header.width, header.height]) / sizes

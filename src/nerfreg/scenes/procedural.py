@@ -50,6 +50,7 @@ class Procedural(SceneConfig):
         """Place cameras and solids. Images are rendered when they are first read, and kept."""
         layout = check_choice("scene.layout", self.layout or "orbit", LAYOUTS)
         cameras, split = self._cameras(layout)
+        kept = self.after_holding_out(split)
         still = solids_of(layout, self.seed)
 
         @cache
@@ -64,12 +65,12 @@ class Procedural(SceneConfig):
             self,
             name=f"procedural-{layout}",
             cameras=cameras,
-            split=split,
+            split=kept,
             labels=[f"{'train' if view in split.train else 'test'}/{view}" for view in range(len(cameras))],
             read_image=read_image,
             has_alpha=layout == "orbit",
             layout=layout,
-            depths=depth_range(still, cameras, split.train) if layout == "forward" else None,
+            depths=depth_range(still, cameras, kept.train) if layout == "forward" else None,
             read_depth=read_depth,
         )
 

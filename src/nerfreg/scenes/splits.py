@@ -100,6 +100,20 @@ def choose_from_two(
     return lists(train, test, default, counts, views)
 
 
+def hold_out(split: Split, positions: Sequence[int]) -> Split:
+    """The training views at these positions of their list test, in place of all test views; the others train."""
+    count = len(split.train)
+    for position in positions:
+        if not 0 <= position < count:
+            raise NerfregError(
+                f"scene.held_out={list(positions)}: the {count} training views are numbered 0 to {count - 1}"
+            )
+    train = tuple(view for position, view in enumerate(split.train) if position not in positions)
+    if not (train and positions):
+        raise NerfregError(f"scene.held_out={list(positions)}: must name some, not all, of the {count} training views")
+    return Split(train, tuple(split.train[position] for position in sorted(set(positions))))
+
+
 def _protocol(name: str | None, default: str, train: Views, test: Views) -> str:
     listed = train is not None or test is not None
     if name is None:

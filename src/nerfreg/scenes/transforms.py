@@ -45,7 +45,7 @@ class Transforms(SceneConfig):
         names = [str(require(frame, "file_path", f"{path}: frame {i}")) for i, frame in enumerate(frames)]
         files = [find_image(path.parent / name) for name in names]
         poses = np.stack([frame_pose(frame, f"{path}: frame {i}") for i, frame in enumerate(frames)])
-        split = self._split(content, names, path)
+        split = self.after_holding_out(self._split(content, names, path))
         header = check_headers([files[view] for view in (*split.train, *split.test)])
         if not 1 <= self.factor <= min(header.width, header.height):
             raise NerfregError(
