@@ -39,7 +39,7 @@ def step() -> Callable[..., Step]:
     """A step of a run of 100."""
 
     def step(index: int) -> Step:
-        return Step(index, 100, index / 100, torch.Generator(), (1.0, 3.0), lambda rendering: rendering)
+        return Step(index, 100, index / 100, torch.Generator(), (1.0, 3.0), *[lambda rendering: rendering] * 2)
 
     return step
 

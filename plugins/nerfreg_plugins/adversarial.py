@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Generator
+from collections.abc import Callable, Generator
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar, no_type_check
 
@@ -13,9 +13,10 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from nerfreg import Regularizer, Rendering, Samples, Step, hookimpl
-from nerfreg.field.layers import AffineLayer
+from nerfreg.field.layers import AffineLayer, shifted
 from nerfreg.numerics import exact
 
+Render = Callable[[Rendering], Rendering]
 TARGETS = ("positions", "directions", "t", "features", "sigma", "rgb")
 
 
@@ -28,26 +29,36 @@ def pgd_step(delta: Tensor, grad: Tensor, step_size: float, radius: float) -> Te
 
 
 class Perturbed(AffineLayer):
-    """A layer whose input and output can be shifted; while they are not, it is the layer inside, fused or not."""
+    """A layer whose input and output can be shifted; the layer inside stays what it is, fused or not.
 
-    def __init__(self, inner: nn.Module, in_features: int) -> None:
+    features: (P, in) what is added to the input. raw: (P, columns) to the first columns of the output.
+    """
+
+    def __init__(self, inner: nn.Module, in_features: int, out_features: int) -> None:
         super().__init__(getattr(inner, "activation", "none"))
         self.inner = inner
         self.in_features = in_features
-        self.input_shift: Float[Tensor, "points in"] | None = None
-        self.output_shift: Float[Tensor, "points columns"] | None = None
+        self.out_features = out_features
+        self.features: Float[Tensor, "points in"] | None = None
+        self.raw: Float[Tensor, "points columns"] | None = None
 
     def effective(self) -> tuple[Float[Tensor, "out in"], Float[Tensor, " out"] | None] | None:
-        shifted = self.input_shift is not None or self.output_shift is not None
-        return self.inner.effective() if isinstance(self.inner, AffineLayer) and not shifted else None
+        return self.inner.effective() if isinstance(self.inner, AffineLayer) else None
+
+    def input_shift(self) -> Float[Tensor, "points in"] | None:
+        inner = self.inner.input_shift() if isinstance(self.inner, AffineLayer) else None
+        return self.features if inner is None else shifted(inner, self.features)
+
+    def output_shift(self) -> Float[Tensor, "points out"] | None:
+        inner = self.inner.output_shift() if isinstance(self.inner, AffineLayer) else None
+        return self._raw() if inner is None else shifted(inner, self._raw())
 
     def forward(self, x: Float[Tensor, "points in"]) -> Float[Tensor, "points out"]:
-        y: Tensor = self.inner(x if self.input_shift is None else x + self.input_shift)
-        if self.output_shift is None:
-            return y
+        return shifted(self.inner(shifted(x, self.features)), self._raw())
+
+    def _raw(self) -> Float[Tensor, "points out"] | None:
         # Raw density is the first column of the density network's output; the geometry features behind it stay.
-        shift = functional.pad(self.output_shift, (0, y.shape[-1] - self.output_shift.shape[-1]))
-        return y + shift
+        return None if self.raw is None else functional.pad(self.raw, (0, self.out_features - self.raw.shape[1]))
 
 
 @dataclass
@@ -85,7 +96,7 @@ class Adversarial(Regularizer):
     @hookimpl(wrapper=True)
     @no_type_check  # a checker that wraps the generator would hide it from pluggy
     def nerfreg_layer(
-        self, network: str, index: int, in_features: int, activation: str
+        self, network: str, index: int, in_features: int, out_features: int, activation: str
     ) -> Generator[None, nn.Module, nn.Module]:
         layer = yield
         last = activation == "none"
@@ -94,7 +105,7 @@ class Adversarial(Regularizer):
         targets = [name for name, present in here.items() if present and getattr(self, name) > 0]
         if not targets:
             return layer
-        perturbed = Perturbed(layer, in_features)
+        perturbed = Perturbed(layer, in_features, out_features)
         self._layers.update(dict.fromkeys(targets, perturbed))
         return perturbed
 
@@ -116,7 +127,7 @@ class Adversarial(Regularizer):
     @hookimpl
     def nerfreg_loss(self, rendering: Rendering, step: Step) -> dict[str, Float[Tensor, ""]]:
         try:
-            return {"adversarial": self._error(rendering, step, self._worst(rendering, step))}
+            return {"adversarial": self._error(step.rerender, rendering, self._worst(rendering, step))}
         finally:
             self._set({})
 
@@ -126,7 +137,7 @@ class Adversarial(Regularizer):
         deltas = {name: rendering.t.new_zeros(shape) for name, shape in self._shapes(rendering).items()}
         for _ in range(self.steps):
             deltas = {name: delta.requires_grad_() for name, delta in deltas.items()}
-            error = self._error(rendering, step, deltas)
+            error = self._error(step.probe, rendering, deltas)
             grads = torch.autograd.grad(error, list(deltas.values()), allow_unused=True, materialize_grads=True)
             deltas = {
                 name: pgd_step(delta.detach(), grad, self.step_size * radii[name], radii[name])
@@ -148,22 +159,22 @@ class Adversarial(Regularizer):
         shapes["rgb"] = (int(rendering.colored.sum()), 3)
         return {name: shape for name, shape in shapes.items() if getattr(self, name) > 0}
 
-    def _error(self, rendering: Rendering, step: Step, deltas: dict[str, Tensor]) -> Float[Tensor, ""]:
-        colors, targets = self._perturbed(rendering, step, deltas)
+    def _error(self, render: Render, rendering: Rendering, deltas: dict[str, Tensor]) -> Float[Tensor, ""]:
+        colors, targets = self._perturbed(render, rendering, deltas)
         return (colors - targets).square().mean()
 
-    def _perturbed(self, rendering: Rendering, step: Step, deltas: dict[str, Tensor]) -> tuple[Tensor, Tensor]:
+    def _perturbed(self, render: Render, rendering: Rendering, deltas: dict[str, Tensor]) -> tuple[Tensor, Tensor]:
         """The colours under the perturbations, and those that they should have, (S, 3) each."""
         self._set(deltas)
         targets = rendering.rays.targets
-        return step.rerender(rendering).rgb[: len(targets)], targets
+        return render(rendering).rgb[: len(targets)], targets
 
     @hookimpl
     def nerfreg_reference(self, given: Any, step: Step) -> dict[str, Any] | None:
         if not isinstance(given, Rendering):
             return None
         try:
-            pairs = zip(*map(exact, self._perturbed(given, step, self._worst(given, step))), strict=True)
+            pairs = zip(*map(exact, self._perturbed(step.rerender, given, self._worst(given, step))), strict=True)
             squares = [(a - b) ** 2 for colors, targets in pairs for a, b in zip(colors, targets, strict=True)]
         finally:
             self._set({})
@@ -180,4 +191,4 @@ class Adversarial(Regularizer):
     def _set(self, deltas: dict[str, Tensor]) -> None:
         self._deltas = deltas
         for name, layer in self._layers.items():
-            setattr(layer, "input_shift" if name == "features" else "output_shift", deltas.get(name))
+            setattr(layer, "features" if name == "features" else "raw", deltas.get(name))

@@ -169,6 +169,7 @@ class Step:
     total: the number of steps the run will have, an estimate while the budget is in seconds.
     generator: the run's source of randomness on the CPU. bounds: near and far of the whole scene.
     rerender: render the same rays at the same t, with colours for the same samples, through the hooks again.
+    probe: the same without gradients by the field's weights, which is cheaper: for a search over what the field sees.
     """
 
     index: int
@@ -177,6 +178,7 @@ class Step:
     generator: torch.Generator
     bounds: tuple[float, float]
     rerender: Callable[[Rendering], Rendering]
+    probe: Callable[[Rendering], Rendering]
 
 
 @dataclass

@@ -140,3 +140,74 @@ def test_gelu_after_the_last_layer_is_fused_too() -> None:
     torch.testing.assert_close(network(x), network(x, plain=True))
     gradients = [torch.autograd.grad(network(x, plain=plain).sum(), x)[0] for plain in (True, False)]
     torch.testing.assert_close(gradients[1], gradients[0])
+
+
+class Shifted(Linear):
+    """Adds something to its input and output, point by point."""
+
+    before: Tensor | None = None
+    after: Tensor | None = None
+
+    def input_shift(self) -> Tensor | None:
+        return self.before
+
+    def output_shift(self) -> Tensor | None:
+        return self.after
+
+
+@pytest.mark.parametrize("scale", [None, torch.tensor([1.0, 1.0, 0.5, 0.0, 0.0, 0.0])])
+def test_shifts_of_the_first_input_and_the_last_output(scale: Tensor | None) -> None:
+    """Both ways compute W2 relu(W1 (x * scale + before)) + after, and its gradients by the shifts."""
+    torch.manual_seed(0)
+    first, last = Shifted(6, 8, "relu"), Shifted(8, 3)
+    first.before, last.after = torch.randn(9, 6, requires_grad=True), torch.randn(9, 3, requires_grad=True)
+    network, x = Network([first, last]), torch.randn(9, 6)
+    assert network._affine() is not None, "shifts must not leave the fused path"
+    hidden = (x if scale is None else x * scale) + first.before
+    expected = (hidden @ first.weight.T).relu() @ last.weight.T + last.after
+    narrow = x if scale is None else x[:, :3]  # the features beyond are dead and never evaluated
+    for plain in (True, False):
+        made = network(narrow, scale, plain=plain)
+        torch.testing.assert_close(made, expected)
+        for got, wanted in zip(_grads(made, first, last), _grads(expected, first, last), strict=True):
+            torch.testing.assert_close(got, wanted)
+
+
+def test_a_shifted_first_layer_does_not_see_the_gap() -> None:
+    torch.manual_seed(0)
+    first, last = Shifted(5, 8, "relu"), Linear(8, 3)
+    first.before = torch.randn(9, 5)
+    network, x = Network([first, last]), torch.randn(9, 6)
+    torch.testing.assert_close(network(x, gap=2), network(x, gap=2, plain=True))
+
+
+@pytest.mark.parametrize("where", ["input", "output"])
+def test_shifts_in_between_leave_the_fused_path(where: str) -> None:
+    torch.manual_seed(0)
+    layers = [Shifted(6, 8, "relu"), Shifted(8, 3)]
+    if where == "input":
+        layers[1].before = torch.ones(4, 8)
+    else:
+        layers[0].after = torch.ones(4, 8)
+    x = torch.randn(4, 6)
+    # Adding 1 behind the first layer, or before the second, is the same.
+    expected = ((x @ layers[0].weight.T).relu() + 1) @ layers[1].weight.T
+    torch.testing.assert_close(Network([*layers])(x), expected)
+
+
+def test_frozen_weights_get_no_gradient_and_the_input_does() -> None:
+    network = Network(NETWORKS["relu"]())
+    wanted, x = torch.randn(5, 6, requires_grad=True), torch.randn(5, 6)
+    [expected] = torch.autograd.grad(network(wanted + x).sum(), [wanted])
+    network.requires_grad_(False)
+    out = network(wanted + x)
+    network.requires_grad_(True)
+    out.sum().backward()
+    torch.testing.assert_close(wanted.grad, expected)
+    assert all(parameter.grad is None for parameter in network.parameters())
+
+
+def _grads(made: Tensor, first: Shifted, last: Shifted) -> tuple[Tensor, ...]:
+    return torch.autograd.grad(
+        made.square().sum(), [first.before, last.after, first.weight, last.weight], retain_graph=True
+    )

@@ -51,7 +51,7 @@ def make_step(
     fraction: float = 0.5, index: int = 500, rerender: Callable[[Rendering], Rendering] = lambda rendering: rendering
 ) -> Step:
     """Step `index` of 1000 in a scene from 2 to 6."""
-    return Step(index, 1000, fraction, torch.Generator().manual_seed(0), (2.0, FAR), rerender)
+    return Step(index, 1000, fraction, torch.Generator().manual_seed(0), (2.0, FAR), rerender, rerender)
 
 
 def gradients(value: Tensor, *inputs: Tensor) -> tuple[Tensor, ...]:

@@ -41,7 +41,7 @@ def scene(plugin: Adversarial, see) -> tuple[Hooks, Step]:
         samples = Samples(positions, rays.directions, rendering.t)
         return replace(rendering, rgb=see(hooks.encoder_input(samples, step)))
 
-    step = Step(0, 1000, 0.0, torch.Generator(), (2.0, 2.0 + LENGTH), rerender)
+    step = Step(0, 1000, 0.0, torch.Generator(), (2.0, 2.0 + LENGTH), rerender, rerender)
     return hooks, step
 
 
@@ -96,23 +96,34 @@ def test_directions_that_differ_along_the_ray(step):
 
 def test_perturbed_layer_is_the_inner_one_until_shifted():
     inner = Linear(2, 3, "relu")
-    layer = Perturbed(inner, 2)
+    layer = Perturbed(inner, 2, 3)
     x = torch.randn(5, 2)
     assert layer.effective()[0] is inner.weight
     assert layer.activation == "relu"
+    assert layer.input_shift() is None and layer.output_shift() is None
     assert torch.equal(layer(x), inner(x))
-    layer.input_shift = torch.ones(5, 2)
-    assert layer.effective() is None
+    layer.features = torch.ones(5, 2)
     assert torch.equal(layer(x), inner(x + 1))
-    layer.input_shift, layer.output_shift = None, torch.full((5, 1), 2.0)
-    assert layer.effective() is None
+    assert torch.equal(layer.input_shift(), torch.ones(5, 2))
+    layer.features, layer.raw = None, torch.full((5, 1), 2.0)
     torch.testing.assert_close(layer(x) - inner(x), torch.tensor([2.0, 0.0, 0.0]).expand(5, 3))
+    assert torch.equal(layer.output_shift(), torch.tensor([2.0, 0.0, 0.0]).expand(5, 3))
+
+
+def test_shifts_of_the_inner_layer_are_added():
+    inner = Perturbed(Linear(2, 3), 2, 3)
+    layer = Perturbed(inner, 2, 3)
+    inner.features, inner.raw = torch.ones(5, 2), torch.ones(5, 1)
+    assert torch.equal(layer.input_shift(), torch.ones(5, 2))
+    layer.features, layer.raw = torch.ones(5, 2), torch.ones(5, 3)
+    assert torch.equal(layer.input_shift(), torch.full((5, 2), 2.0))
+    assert torch.equal(layer.output_shift(), torch.tensor([2.0, 1.0, 1.0]).expand(5, 3))
 
 
 def test_a_layer_of_any_kind_inside():
-    layer = Perturbed(torch.nn.Sequential(torch.nn.Linear(2, 1), torch.nn.Tanh()), 2)
+    layer = Perturbed(torch.nn.Sequential(torch.nn.Linear(2, 1), torch.nn.Tanh()), 2, 1)
     assert layer.effective() is None
-    layer.output_shift = torch.ones(4, 1)
+    layer.raw = torch.ones(4, 1)
     x = torch.randn(4, 2)
     torch.testing.assert_close(layer(x), layer.inner(x) + 1)
 
@@ -159,8 +170,8 @@ def test_layers_by_hand(rendering, step):
     # d error / d W = 2 * 5.5 * 1.1 for the weight of sigma: the term trains the field under the perturbation.
     grad = torch.autograd.grad(term, density.inner.weight)[0]
     torch.testing.assert_close(grad, torch.tensor([[2 * 5.5 * 1.1], [0.0]]))
-    assert density.effective() is not None
-    assert color.effective() is not None
+    assert density.input_shift() is None and density.output_shift() is None
+    assert color.output_shift() is None
 
 
 def test_no_coloured_sample(rendering, step):
@@ -182,7 +193,7 @@ def test_nothing_stays_perturbed_when_rendering_fails(rendering, step):
         plugin.nerfreg_loss(rendering(torch.ones(2, 1)), step(rerender=fail))
     samples = Samples(torch.zeros(2, 1, 3), torch.zeros(2, 3), torch.zeros(2, 1))
     assert Hooks({"adversarial": plugin}).encoder_input(samples, step()) is samples
-    assert layer.effective() is not None
+    assert layer.output_shift() is None
 
 
 def test_targets_that_the_colour_does_not_depend_on_do_no_harm(rendering):

@@ -21,11 +21,20 @@ def test_through_the_real_renderer():
     renderer = Renderer(RadianceField(config, box, hooks.layer), SamplerConfig(coarse=8, fine=8), hooks)
     directions = torch.nn.functional.normalize(torch.randn(6, 3), dim=-1)
     rays = Rays(torch.zeros(6, 3), directions, torch.full((6,), 0.1), torch.full((6,), 4.0), torch.rand(5, 3))
-    step = Step(0, 10, 0.0, torch.Generator().manual_seed(0), (0.1, 4.0), lambda made: renderer.rerender(made, step))
+    step = Step(
+        0,
+        10,
+        0.0,
+        torch.Generator().manual_seed(0),
+        (0.1, 4.0),
+        rerender=lambda made: renderer.rerender(made, step),
+        probe=lambda made: renderer.probe(made, step),
+    )
     rendering = renderer.render(rays, step)
     clean = (rendering.rgb[:5] - rays.targets).square().mean()
     term = plugin.nerfreg_loss(rendering, step)["adversarial"]
     assert clean < term < clean + 0.1
+    assert not step.probe(rendering).rgb.requires_grad, "only weights would get a gradient here"
     term.backward()
     assert all(p.grad is not None and p.grad.isfinite().all() for p in renderer.field.parameters())
     torch.testing.assert_close(renderer.rerender(rendering, step).rgb, rendering.rgb)

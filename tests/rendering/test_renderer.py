@@ -37,7 +37,7 @@ def some_rays(count: int = 6, groups: Tensor | None = None) -> Rays:
 
 
 def a_step(seed: int = 0) -> Step:
-    return Step(0, 10, 0.0, torch.Generator().manual_seed(seed), (2.0, 4.0), lambda rendering: rendering)
+    return Step(0, 10, 0.0, torch.Generator().manual_seed(seed), (2.0, 4.0), *[lambda rendering: rendering] * 2)
 
 
 def test_a_rendering_is_the_composite_of_the_field_at_its_samples(field: RadianceField) -> None:

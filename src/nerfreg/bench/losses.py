@@ -97,7 +97,7 @@ def measure(info: PluginInfo, sizes: Sizes) -> list[Point]:
 
 
 def _measure(name: str, hooks: Hooks, given: Input, samples: int, sizes: Sizes) -> list[Point]:
-    step = Step(50, 100, 0.5, torch.Generator().manual_seed(0), (given.near, given.far), _refuse)
+    step = Step(50, 100, 0.5, torch.Generator().manual_seed(0), (given.near, given.far), _refuse, _refuse)
     few, many = given.rendering(sizes.exact_rays, samples), given.rendering(sizes.rays, samples)
 
     def own(rendering: Rendering) -> Float[Tensor, ""]:

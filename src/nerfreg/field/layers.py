@@ -26,11 +26,22 @@ class AffineLayer(nn.Module):
         """Weight and bias to use now; None where the layer is not affine this time, then `forward` runs instead."""
         raise NotImplementedError
 
+    def input_shift(self) -> Float[Tensor, "points in"] | None:
+        """What is added to the input now, point by point; only the first layer of a network may have one."""
+        return None
+
+    def output_shift(self) -> Float[Tensor, "points out"] | None:
+        """What is added to the output now, point by point; only the last layer of a network may have one."""
+        return None
+
     def forward(self, x: Float[Tensor, "points in"]) -> Float[Tensor, "points out"]:
         """The plain version of what the fused kernels compute."""
         affine = self.effective()
         assert affine is not None, "a layer that is not always affine overrides forward"
-        return ACTIVATIONS[self.activation](functional.linear(x, *affine))
+        return shifted(
+            ACTIVATIONS[self.activation](functional.linear(shifted(x, self.input_shift()), *affine)),
+            self.output_shift(),
+        )
 
 
 class Linear(AffineLayer):
@@ -42,3 +53,7 @@ class Linear(AffineLayer):
 
     def effective(self) -> tuple[Float[Tensor, "out in"], None]:
         return self.weight, None
+
+
+def shifted(x: Tensor, shift: Tensor | None) -> Tensor:
+    return x if shift is None else x + shift

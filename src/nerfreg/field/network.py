@@ -10,7 +10,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 from torch.nn import functional
 
-from nerfreg.field.layers import ACTIVATIONS, AffineLayer
+from nerfreg.field.layers import ACTIVATIONS, AffineLayer, shifted
 from nerfreg.field.workers import in_shares
 
 CHUNK = 4096
@@ -39,34 +39,57 @@ class Network(nn.Module):
         """
         affine = None if plain or x.device.type != "cpu" else self._affine()
         if affine is None:
-            return self._plain(x if gap is None else torch.cat([x[:, :gap], x[:, gap + 1 :]], dim=1), scale)
+            return self._plain(_without(x, gap), scale)
+        first, last = self.layers[0], self.layers[-1]
+        assert isinstance(first, AffineLayer) and isinstance(last, AffineLayer)
         weights = list(affine)
+        if (shift := first.input_shift()) is not None:
+            x, scale, gap = _scaled(_without(x, gap), scale) + shift, None, None
         if gap is not None:
             known = weights[0]
             weights[0] = torch.cat([known[:, :gap], known.new_zeros(len(known), 1), known[:, gap:]], dim=1)
-        first = weights[0][:, : x.shape[1]]
-        weights[0] = first if scale is None else first * scale[: x.shape[1]]
+        used = weights[0][:, : x.shape[1]]
+        weights[0] = used if scale is None else used * scale[: x.shape[1]]
         activations = tuple(layer.activation for layer in self.layers)
-        return _FusedNetwork.apply(x, activations, *weights)
+        return shifted(_FusedNetwork.apply(x, activations, *weights), last.output_shift())
 
     def _affine(self) -> list[Any] | None:
-        """Weight and bias of every layer in turn; None if a layer is not affine now, or the last has an activation."""
+        """Weight and bias of every layer in turn; None where the fused kernels cannot run.
+
+        They cannot if a layer is not affine now, if the last has an activation, or if something is added in between.
+        """
         if getattr(self.layers[-1], "activation", "none") != "none":
             return None
         parts: list[Any] = []
         for layer in self.layers:
-            effective = layer.effective() if isinstance(layer, AffineLayer) else None
+            if not isinstance(layer, AffineLayer) or _shifts_inside(self.layers, layer):
+                return None
+            effective = layer.effective()
             if effective is None:
                 return None
             parts.extend(effective)
         return parts
 
     def _plain(self, x: Tensor, scale: Tensor | None) -> Tensor:
-        if scale is not None:
-            x = functional.pad(x * scale[: x.shape[1]], (0, len(scale) - x.shape[1]))
+        x = _scaled(x, scale)
         for layer in self.layers:
             x = layer(x)
         return x
+
+
+def _shifts_inside(layers: nn.ModuleList, layer: AffineLayer) -> bool:
+    """Whether the layer adds something that is neither at the beginning nor at the end of the network."""
+    before = layer is not layers[0] and layer.input_shift() is not None
+    return before or (layer is not layers[-1] and layer.output_shift() is not None)
+
+
+def _without(x: Tensor, column: int | None) -> Tensor:
+    return x if column is None else torch.cat([x[:, :column], x[:, column + 1 :]], dim=1)
+
+
+def _scaled(x: Tensor, scale: Tensor | None) -> Tensor:
+    """The features times their factors, with zeros for those that are missing."""
+    return x if scale is None else functional.pad(x * scale[: x.shape[1]], (0, len(scale) - x.shape[1]))
 
 
 class _FusedNetwork(torch.autograd.Function):
@@ -103,8 +126,12 @@ class _FusedNetwork(torch.autograd.Function):
         layers, kept = _layers(ctx.activations, rest[: 2 * count]), rest[2 * count :]
         x_grad = torch.empty_like(x) if ctx.needs_input_grad[0] else None
 
+        def zeros() -> list[Tensor | None]:
+            wanted = zip(rest[: 2 * count], ctx.needs_input_grad[2:], strict=True)
+            return [torch.zeros_like(parameter) if needed else None for parameter, needed in wanted]
+
         def run(first: int, last: int) -> list[Tensor | None]:
-            sums = [None if p is None else torch.zeros_like(p) for p in rest[: 2 * count]]
+            sums = zeros()
             buffers = [x.new_empty(CHUNK, layer.weight.shape[1]) for layer in layers]
             for start in range(first, last, CHUNK):
                 stop = min(start + CHUNK, last)
@@ -120,7 +147,7 @@ class _FusedNetwork(torch.autograd.Function):
             return sums
 
         shares = in_shares(len(x), CHUNK, run)
-        totals = [None if p is None else torch.zeros_like(p) for p in rest[: 2 * count]]
+        totals = zeros()
         for sums in shares:
             for total, part in zip(totals, sums, strict=True):
                 if total is not None and part is not None:
@@ -153,8 +180,8 @@ class _Layer(NamedTuple):
 
 def _add_parameter_grads(sums: Sequence[Tensor | None], grad: Tensor, before: Tensor, activation: str) -> None:
     weight, bias = sums
-    assert weight is not None
-    weight.addmm_(grad.t(), functional.gelu(before) if activation == "gelu" else before)
+    if weight is not None:
+        weight.addmm_(grad.t(), functional.gelu(before) if activation == "gelu" else before)
     if bias is not None:
         bias += grad.sum(dim=0)
 

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 
 import torch
 from jaxtyping import Float
@@ -40,6 +41,18 @@ class RadianceField(nn.Module):
             "density", [layout.features, *[hidden] * (config.density_layers - 1), 1 + geometry], make_layer
         )
         self.color_network = _build("color", [WIDTH + geometry, *[hidden] * (config.color_layers - 1), 3], make_layer)
+
+    @contextmanager
+    def frozen(self) -> Iterator[None]:
+        """What is evaluated inside the block has no gradient by the weights, and costs less backward."""
+        trained = [parameter for parameter in self.parameters() if parameter.requires_grad]
+        for parameter in trained:
+            parameter.requires_grad_(False)
+        try:
+            yield
+        finally:
+            for parameter in trained:
+                parameter.requires_grad_(True)
 
     def raw_density(
         self, positions: Float[Tensor, "points 3"], active: float | None = None

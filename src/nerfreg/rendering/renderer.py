@@ -82,6 +82,11 @@ class Renderer:
         evaluation = self._evaluate(samples)
         return self._composite(rendering.rays, rendering.t, rendering.t_edges, evaluation, samples, rendering.colored)
 
+    def probe(self, rendering: Rendering, step: Step) -> Rendering:
+        """The same as `rerender`, without gradients by the field's weights."""
+        with self.field.frozen():
+            return self.rerender(rendering, step)
+
     def _encode(self, rays: Rays, t: Tensor, step: Step) -> Samples:
         samples = Samples(
             positions=rays.origins[:, None] + rays.directions[:, None] * t[..., None],
@@ -114,7 +119,7 @@ class Renderer:
             colored = result.weights.detach() > MIN_WEIGHT
         ray, sample = colored.nonzero(as_tuple=True)
         color = self.field.color(
-            evaluation.raw.index_select(0, evaluation.rows[ray, sample]),
+            _Pick.apply(evaluation.raw, evaluation.rows[ray, sample]),
             _harmonics(samples.directions, ray, sample),
             samples.color_features,
         )
@@ -172,6 +177,21 @@ class _Permute(torch.autograd.Function):
     def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor, None]:
         [order] = ctx.saved_tensors
         return torch.empty_like(grads[0]).scatter_(1, order, grads[0]), None
+
+
+class _Pick(torch.autograd.Function):
+    """`values.index_select(0, rows)` where no row is taken twice: nothing has to be added up backward."""
+
+    @staticmethod
+    def forward(ctx: Any, values: Tensor, rows: Tensor) -> Tensor:
+        ctx.save_for_backward(rows)
+        ctx.count = len(values)
+        return values.index_select(0, rows)
+
+    @staticmethod
+    def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor, None]:
+        [rows] = ctx.saved_tensors
+        return grads[0].new_zeros(ctx.count, *grads[0].shape[1:]).index_copy_(0, rows, grads[0]), None
 
 
 def _harmonics(directions: Tensor, ray: Tensor, sample: Tensor) -> Tensor:

@@ -71,6 +71,7 @@ class Driver:
             generator=torch.Generator().manual_seed(0),
             bounds=self.inputs.bounds,
             rerender=lambda rendering: self._rerender(rendering, step),
+            probe=lambda rendering: self._rerender(rendering, step),
         )
         return step
 

@@ -52,6 +52,7 @@ class Batch:
             generator,
             self.bounds,
             rerender=lambda rendering: renderer.rerender(rendering, step),
+            probe=lambda rendering: renderer.probe(rendering, step),
         )
         rendering = renderer.render(self.rays, step)
         return rendering, loss_terms(rendering, hooks, step)

@@ -102,5 +102,6 @@ class Trainer:
             generator=self.generator,
             bounds=(self.scene.near, self.scene.far),
             rerender=lambda rendering: self.renderer.rerender(rendering, step),
+            probe=lambda rendering: self.renderer.probe(rendering, step),
         )
         return step
