@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import platform
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
@@ -24,6 +24,7 @@ from nerfreg.evaluation.paths import orbit_path, spiral_path
 from nerfreg.evaluation.scores import Scores, photograph, score_views
 from nerfreg.evaluation.video import write_video
 from nerfreg.field import RadianceField
+from nerfreg.field.fit import fitted
 from nerfreg.recording import Recorder
 from nerfreg.registry import Hooks, Term
 from nerfreg.rendering.views import View, ViewRenderer
@@ -49,6 +50,7 @@ def train(config: Config, folder: Path) -> dict[str, Any]:
     """
     keep_large_blocks()
     scene = load_scene(config.scene)
+    config = replace(config, field=fitted(config.field, scene))
     lpips = load_lpips(config.eval.lpips_weights) if config.eval.lpips else None
     device = prepare(config)
     progress = Progress(config.train.quiet)
@@ -144,6 +146,7 @@ def load_run(run: Path, overrides: Sequence[str] = ()) -> tuple[Config, Scene, R
     keep_large_blocks()
     config = read_run(run, overrides)
     scene = load_scene(config.scene)
+    config = replace(config, field=fitted(config.field, scene))
     field = RadianceField(config.field, scene.box, Hooks(config.reg).layer)
     state = load_checkpoint(run, field)
     return config, scene, field.to(prepare(config)).eval(), state
@@ -222,6 +225,7 @@ def _about(config: Config, scene: Scene) -> dict[str, Any]:
         "held_out": config.scene.held_out is not None,
         "train_views": [_label(scene, view) for view in scene.train],
         "regularizers": {name: asdict(plugin) for name, plugin in config.reg.items()},
+        "grid": {key: getattr(config.field, key) for key in ("levels", "base", "finest", "log2_entries")},
         "seed": config.seed,
         "threads": torch.get_num_threads(),
         "versions": {"python": platform.python_version(), **{name: _version(name) for name in PACKAGES}},

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from time import perf_counter
 from typing import Any
@@ -17,6 +17,7 @@ from nerfreg.bench.parts import measure_parts, replaced
 from nerfreg.bench.results import Outcome, write_record
 from nerfreg.bench.timing import Spread, in_turns, spread
 from nerfreg.config import Config
+from nerfreg.field.fit import fitted
 from nerfreg.scenes import load_scene
 from nerfreg.scenes.scene import Scene
 from nerfreg.training.memory import keep_large_blocks, peak_memory_mb
@@ -111,7 +112,8 @@ def run(folder: Path, sizes: Sizes, overrides: tuple[str, ...]) -> Outcome:
     keep_large_blocks()
     config = compose((*sizes.defaults, *overrides))
     prepare_cpu(config)
-    measured = measure(config, load_scene(config.scene), sizes)
+    scene = load_scene(config.scene)
+    measured = measure(replace(config, field=fitted(config.field, scene)), scene, sizes)
     print_tables(measured)
     return write_record(folder / "step.json", measured.record())
 

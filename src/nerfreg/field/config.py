@@ -16,6 +16,7 @@ class FieldConfig:
 
     levels, base, finest: number of grid levels and their coarsest and finest resolution across the scene's box.
     log2_entries: log2 of the table entries a hashed level has; coarser levels that need fewer are stored densely.
+    fit: leave out levels and entries that the training views of the scene cannot fill (`nerfreg.field.fit`).
     hidden, geometry: width of the hidden layers, and of what the density network hands to the colour network.
     density_layers, color_layers: number of layers of each network.
     density_bias: added to the raw density before the exponential.
@@ -26,6 +27,7 @@ class FieldConfig:
     base: int = 16
     finest: int = 1024
     log2_entries: int = 17
+    fit: bool = True
     hidden: int = 64
     geometry: int = 15
     density_layers: int = 2
