@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import os
+import subprocess
+import sys
 from pathlib import Path
 
 import imageio.v3 as iio
@@ -42,6 +44,14 @@ def test_a_run_leaves_what_the_design_lists(run: Path, capsys: pytest.CaptureFix
     pictures = sorted((run / "renders").iterdir())
     assert [picture.name for picture in pictures] == ["test_3.png", "test_4.png"]
     assert iio.imread(pictures[0]).shape == (32, 4 * 32, 3)
+
+
+def test_one_thread_means_one_in_a_new_process() -> None:
+    """Whatever numba does to the number that torch has when it starts its own threads."""
+    script = "import numba, torch; from nerfreg.config import Config; from nerfreg.runs import prepare; c = Config();"
+    script += "c.device = 'cpu'; c.train.threads = 1; prepare(c); print(torch.get_num_threads(), numba.get_num_threads())"
+    made = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+    assert made.stdout.split() == ["1", "1"]
 
 
 def test_evaluating_the_checkpoint_again_gives_the_same_scores(run: Path) -> None:

@@ -158,8 +158,8 @@ def prepare(config: Config) -> torch.device:
     if threads is not None:
         if not 1 <= threads <= numba.config.NUMBA_NUM_THREADS:
             raise NerfregError(f"train.threads={threads}: this machine has 1 to {numba.config.NUMBA_NUM_THREADS}")
-        torch.set_num_threads(threads)
         numba.set_num_threads(threads)
+        torch.set_num_threads(threads)  # afterwards: numba starts its threads then, and resets OpenMP's number
     name = config.device
     if name == "auto":
         name = "cuda" if torch.cuda.is_available() else "cpu"

@@ -39,8 +39,8 @@ def in_shares(count: int, chunk: int, work: Callable[[int, int], Result]) -> lis
 
 def _alone() -> None:
     """What a worker calls runs in its own thread, be it torch's or numba's."""
-    torch.set_num_threads(1)
     numba.set_num_threads(1)
+    torch.set_num_threads(1)
 
 
 @cache
