@@ -38,6 +38,21 @@ def test_every_shipped_file_says_what_it_is_for(path: Path) -> None:
     assert path.read_text(encoding="utf-8").startswith("# ")
 
 
+@pytest.mark.parametrize(
+    ("name", "scene", "rays", "steps", "levels"),
+    [("paper_llff", "llff", 4096, 9000, 16), ("paper_synthetic", "blender", 7008, 10000, 32)],
+)
+def test_the_papers_settings(compose, name: str, scene: str, rays: int, steps: int, levels: int) -> None:
+    """Nothing is skipped: 64 + 128 samples, 2^19 entries to 2048, whatever the photographs could fill."""
+    config = compose(f"+experiment={name}", "+reg=combinerf")
+    assert config.scene.format == scene and config.scene.views == {"llff": 3, "blender": 8}[scene]
+    assert (config.train.rays, config.train.steps, config.train.seconds) == (rays, steps, None)
+    assert (config.sampler.coarse, config.sampler.fine) == (64, 128)
+    assert (config.field.levels, config.field.finest, config.field.log2_entries) == (levels, 2048, 19)
+    assert not config.field.fit
+    assert compose(f"+experiment={name}", "train.steps=10", "scene.views=6").train.steps == 10
+
+
 def test_types_are_those_of_the_rooms(compose) -> None:
     config = compose("field.levels=8")
     assert isinstance(config.scene, Procedural)

@@ -14,7 +14,7 @@ import nerfreg
 from nerfreg.hooks import Needs, Regularizer
 
 SOURCE = Path(nerfreg.__file__).parent
-ROOMS = ("scenes", "rays", "field", "rendering", "training", "evaluation", "reports", "stability", "bench")
+ROOMS = ("scenes", "rays", "field", "rendering", "training", "evaluation", "reports", "stability", "bench", "prune")
 """In the order in which data passes through them."""
 
 
@@ -43,8 +43,8 @@ def test_rooms_import_only_rooms_before_them() -> None:
 
 
 def test_rooms_do_not_know_the_command_line() -> None:
-    # the benches compose configurations themselves, as runs do
-    for room in ROOMS[:-1]:
+    # the benches and the study compose configurations themselves, as runs do
+    for room in ROOMS[: ROOMS.index("bench")]:
         for path in (SOURCE / room).rglob("*.py"):
             assert not imported(path) & {"nerfreg.cli", "nerfreg.launch", "nerfreg.config", "nerfreg.runs"}, path
 

@@ -95,16 +95,16 @@ def _help() -> str:
     )
 
 
-def _train(words: list[str]) -> None:
+def _train(words: list[str]) -> int:
     from nerfreg import launch
 
-    launch.launch(words, launch.train)
+    return launch.launch(words, launch.train, leaves="results.json")
 
 
-def _scene(words: list[str]) -> None:
+def _scene(words: list[str]) -> int:
     from nerfreg import launch
 
-    launch.launch(words, launch.show_scene)
+    return launch.launch(words, launch.show_scene)
 
 
 def _evaluate(words: list[str]) -> None:
@@ -153,6 +153,18 @@ def _bench(words: list[str]) -> int:
     return run(words)
 
 
+def _report(words: list[str]) -> int:
+    from nerfreg.reports.command import run
+
+    return run(words)
+
+
+def _prune(words: list[str]) -> int:
+    from nerfreg.prune.command import run
+
+    return run(words)
+
+
 VERBS = {
     "train": Verb("[overrides]", "train on a scene; Hydra overrides choose everything", _train),
     "evaluate": Verb("RUN [overrides]", "score a run's checkpoint on the test views again", _evaluate),
@@ -161,6 +173,8 @@ VERBS = {
     "plugins": Verb("", "the installed regularizers", _plugins),
     "check": Verb("[PLUGIN ...] [options]", "plugins against stiff and extreme cases", _check),
     "bench": Verb("NAME [options]", "error against run time of what nerfreg computes", _bench),
+    "report": Verb("RUNS... [options]", "tables, plots and a page of error against run time", _report),
+    "prune": Verb("[overrides] [options]", "which regularizers a scene can do without", _prune),
     "cite": Verb("RUN", "BibTeX of everything that a run used", _cite),
 }
 HYDRA_VERBS = ("train", "scene")
@@ -177,6 +191,25 @@ DETAILS = {
 
 Options of all: -o FOLDER (default bench/NAME)  --quick
 Overrides are those of nerfreg train. The last line that step and render print is JSON.""",
+    "report": """\
+RUNS are folders of runs, or above them; runs may still be going on. Written: tables.md, tables/*.tex, methods.csv,
+runs.csv, figures and report.html.
+
+  -o FOLDER           to write to (report)
+  --paper FILE        published numbers beside those of runs: a CSV file with the columns
+                      dataset, views, scene, method, psnr, ssim, lpips, average
+  --psnr DB           time training to this PSNR (the published one of vanilla)
+  --views NAME,NAME   test views to show pictures of""",
+    "prune": """\
+Overrides are those of nerfreg train, and select what is to be judged: scene=... +reg=combinerf. No test view is read.
+
+  --budget SECONDS    for all trainings together (3600)
+  --steps N           of the first trainings (a quarter of train.steps); the undecided go on with twice as many
+  --folds K           of the training views, one of which is held out at a time (4, or one for each view)
+  --tolerance DB      what counts as no difference (0.1)
+  --stride N          score every N-th row and column (2); 1: LPIPS and the average besides
+  --name NAME         of the preset conf/reg/NAME.yaml (pruned_SCENE), which +reg=NAME selects
+  -o FOLDER           for cells.jsonl and prune.json (prune/SCENE); the same command goes on where it was stopped""",
     "render": "Options: path=test|spiral|orbit  frames=60  fps=30  format=mp4|gif  out=FOLDER (default RUN/renders)",
 }
 

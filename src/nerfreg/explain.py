@@ -15,6 +15,16 @@ from nerfreg.nearest import nearest
 from nerfreg.registry import PluginInfo
 
 COMPOSITION_ERRORS = (HydraException, OmegaConfBaseException, YAMLError)
+EXTRA = ("hydra/launcher", "hydra/sweeper")
+"""Groups whose choices come with packages that are not installed by default."""
+
+
+class Refused(BaseException):
+    """Carries a NerfregError past Hydra, which has something of its own to say about every Exception."""
+
+    def __init__(self, error: NerfregError) -> None:
+        super().__init__(str(error))
+        self.error = error
 
 
 def check_overrides(overrides: Sequence[str]) -> None:
@@ -92,4 +102,5 @@ def _unknown_choice(error: MissingConfigException, plugins: Sequence[PluginInfo]
                 return f"plugin '{name}' of package {plugin.package}: {plugin.error}"
         return f"unknown plugin or preset '{name}' in reg={name}; {nearest(name, options(group, plugins))}"
     known = (option for option in error.options or options(group, plugins) if not option.endswith("_schema"))
-    return f"unknown choice {group}={name}; {nearest(name, known)}"
+    extra = "; more come with pip install 'nerfreg[sweep]'" if group in EXTRA else ""
+    return f"unknown choice {group}={name}; {nearest(name, known)}{extra}"

@@ -51,12 +51,15 @@ class Needs:
         photograph behind it, for every training ray that lies in no patch.
     unseen_rays: rays from poses between the training views, as a share of a step's rays. They take the place of
         training rays, so that a step costs no more.
+    unseen_patches: rays in patches of that side from such poses, likewise a share of a step's rays. They count as
+        unseen rays: of both shares the larger is rendered.
     """
 
     patch_size: int = 0
     patch_fraction: float = 0.0
     neighbors: str = "none"
     unseen_rays: float = 0.0
+    unseen_patches: float = 0.0
 
     def __or__(self, other: Needs) -> Needs:
         return Needs(
@@ -64,6 +67,7 @@ class Needs:
             max(self.patch_fraction, other.patch_fraction),
             max(self.neighbors, other.neighbors, key=NEIGHBORS.index),
             max(self.unseen_rays, other.unseen_rays),
+            max(self.unseen_patches, other.unseen_patches),
         )
 
 
@@ -77,7 +81,7 @@ class Rays:
     background: (R, 3) what shines through where opacity is below 1; None where the photographs have no alpha.
     patches: (P, S, S) ray indices; rows run down the image, columns to the right. None if nobody needs patches.
     neighbors: (M, 2) ray indices of adjacent pixels, first the ray, then its neighbour. Both share their t.
-    unseen: (U,) ray indices from unseen poses.
+    unseen: (U,) ray indices from unseen poses. unseen_patches: (Q, S, S) those of them that form patches, or None.
     groups: (R,) rays with the same number share their t; None if no rays do.
     target_weights: (S,) what each target counts in the colour error, 1 on average; a patch counts as much as one random
         pixel, since its pixels say nearly the same. None where all are equal.
@@ -92,6 +96,7 @@ class Rays:
     patches: Int[Tensor, "patches side side"] | None = None
     neighbors: Int[Tensor, "pairs 2"] | None = None
     unseen: Int[Tensor, " unseen"] | None = None
+    unseen_patches: Int[Tensor, "unseen_patches side side"] | None = None
     groups: Int[Tensor, " rays"] | None = None
     target_weights: Float[Tensor, " supervised"] | None = None
 

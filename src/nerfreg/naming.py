@@ -3,17 +3,38 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
+from hashlib import sha256
+from pathlib import Path
 
 from omegaconf import DictConfig, OmegaConf
 
 MAX_LENGTH = 100
+IDENTITY = 8
+"""Hexadecimal digits by which two names that look alike are told apart."""
+
+UNNAMED = ("name", "train.quiet")
+"""Keys that change nothing in a run."""
 
 
 def slug(text: str) -> str:
     """Overrides as part of a folder name: `+reg=[lipschitz,kl],seed=0` becomes `reg=lipschitz+kl,seed=0`."""
-    lists_joined = re.sub(r"\[([^\]]*)\]", lambda match: match[1].replace(",", "+"), str(text))
-    no_signs = re.sub(r"(^|,)\++", r"\1", lists_joined)
-    return re.sub(r"[^\w=.,+-]+", "-", no_signs)[:MAX_LENGTH].strip("-,.")
+    return re.sub(r"[^\w=.,+-]+", "-", _without_syntax(text))[:MAX_LENGTH].strip("-,.")
+
+
+def overrides_name(overrides: Sequence[str]) -> str:
+    """A slug that no other overrides have: where it is shortened, and does not say all, it ends in a hash.
+
+    The order of the overrides makes no difference; regularizers and seed come first, and paths are their last part.
+    """
+    text = ",".join(sorted((override for override in overrides if _key(override) not in UNNAMED), key=_rank))
+    short = slug(re.sub(r"=[^,\[\]]*/", "=", text))
+    return short if short == _without_syntax(text) else f"{short}_{digest(text)}"
+
+
+def digest(text: str) -> str:
+    """A few hexadecimal digits that stand for a text."""
+    return sha256(text.encode()).hexdigest()[:IDENTITY]
 
 
 def run_name(*, _root_: DictConfig) -> str:
@@ -25,3 +46,25 @@ def run_name(*, _root_: DictConfig) -> str:
     selection = next((override for override in overrides if override.startswith("+reg=")), "").partition("=")[2]
     selection = selection or "+".join(OmegaConf.select(_root_, "reg", default={})) or "vanilla"
     return slug(f"{OmegaConf.select(_root_, 'hydra.runtime.choices.scene')}_{selection}")
+
+
+def study_name(root: DictConfig) -> str:
+    """`name` if the user gave one, else the scene: the last part of its path, or its format."""
+    path = OmegaConf.select(root, "scene.path")
+    scene = Path(str(path)).name if path else OmegaConf.select(root, "hydra.runtime.choices.scene")
+    return slug(OmegaConf.select(root, "name") or scene) or "sweep"
+
+
+def _key(override: str) -> str:
+    return override.partition("=")[0].lstrip("+~")
+
+
+def _rank(override: str) -> tuple[int, str]:
+    key = _key(override)
+    first = [key == "reg", key.startswith("reg."), key == "seed", True]
+    return first.index(True), override
+
+
+def _without_syntax(text: str) -> str:
+    lists_joined = re.sub(r"\[([^\]]*)\]", lambda match: match[1].replace(",", "+"), str(text))
+    return re.sub(r"(^|,)\++", r"\1", lists_joined)

@@ -38,11 +38,16 @@ class RayBatches:
         Patches and unseen rays take the place of random pixels; only extra neighbours are rendered beside them.
         """
         side = max(needs.patch_size, 2 if needs.neighbors == "patch" else 0)
-        unseen_count = round(self.count * needs.unseen_rays)
+        unseen_patches = self._patch_count(self.count, side, needs.unseen_patches) if needs.unseen_patches else 0
+        unseen_count = max(round(self.count * needs.unseen_rays), unseen_patches * side**2)
         supervised = self.count - unseen_count
         if supervised < 1:
-            raise NerfregError(f"unseen_rays={needs.unseen_rays}: leaves none of {self.count} rays to learn from")
-        patches = self._patch_count(supervised, side, needs.patch_fraction)
+            raise NerfregError(
+                f"unseen_rays={needs.unseen_rays}, unseen_patches={needs.unseen_patches}: leaves none of "
+                f"{self.count} rays to learn from"
+            )
+        wanted = needs.patch_fraction or needs.neighbors == "patch"
+        patches = self._patch_count(supervised, side, needs.patch_fraction) if wanted else 0
         singles = supervised - patches * side**2
         image, pixel = self._random_pixels(singles)
         groups = [torch.arange(singles)]
@@ -61,7 +66,8 @@ class RayBatches:
         unseen = None
         if unseen_count:
             unseen = sum(len(part[0]) for part in parts) + torch.arange(unseen_count)
-            parts.append(self._unseen_rays(unseen_count))
+            parts.append(self._unseen_rays(unseen_patches, side))
+            parts.append(self._unseen_rays(unseen_count - unseen_patches * side**2, 1))
             groups.append(singles + patches + torch.arange(unseen_count))
         origins, directions = (torch.cat(columns) for columns in zip(*parts, strict=True))
         near, far = clip_to_box(origins, directions, self.scene.box, self.scene.near, self.scene.far)
@@ -78,6 +84,7 @@ class RayBatches:
                 patches=singles + torch.arange(patches * side**2).view(patches, side, side) if patches else None,
                 neighbors=torch.cat(neighbors) if neighbors else None,
                 unseen=unseen,
+                unseen_patches=None if unseen is None or not unseen_patches else _squares(unseen, unseen_patches, side),
                 groups=torch.cat(groups) if neighbors else None,
             )
         )
@@ -134,8 +141,8 @@ class RayBatches:
         cameras = self.scene.cameras
         return cameras.rays(self.views[image], adjacent_pixels(pixel, cameras.width, cameras.height, self.generator))
 
-    def _unseen_rays(self, count: int) -> tuple[Float[Tensor, "rays 3"], Float[Tensor, "rays 3"]]:
-        """Rays through random pixels of cameras at random places between two training cameras, one camera a ray."""
+    def _unseen_rays(self, count: int, side: int) -> tuple[Float[Tensor, "rays 3"], Float[Tensor, "rays 3"]]:
+        """Rays through random patches of cameras at random places between two training cameras, one camera a patch."""
         cameras, cpu = self.scene.cameras, self.generator
         views = len(self.views)
         chosen = torch.randint(views, (count,), generator=cpu)
@@ -144,7 +151,7 @@ class RayBatches:
         center = self.scene.box.mean(dim=0) if self.scene.layout == "orbit" else None
         poses = poses_between(first, second, torch.rand(count, generator=cpu), center)
         size = torch.tensor([cameras.width, cameras.height])
-        pixel = (torch.rand(count, 2, generator=cpu) * size).long()
+        corners = (torch.rand(count, 2, generator=cpu) * (size - side + 1)).long()
         view = self.views[chosen]
         between = dataclasses.replace(
             cameras,
@@ -153,13 +160,17 @@ class RayBatches:
             center=cameras.center[view],
             distortion=cameras.distortion[view],
         )
-        return between.rays(torch.arange(count), pixel)
+        return between.rays(torch.arange(count).repeat_interleave(side**2), patch_pixels(corners, side).view(-1, 2))
 
     def _to_device(self, rays: Rays) -> Rays:
         if self.device.type == "cpu":
             return rays
         moved = {name: value.to(self.device) for name, value in vars(rays).items() if isinstance(value, Tensor)}
         return dataclasses.replace(rays, **moved)
+
+
+def _squares(rays: Int[Tensor, " rays"], patches: int, side: int) -> Int[Tensor, "patches side side"]:
+    return rays[: patches * side**2].view(patches, side, side)
 
 
 def _patches_as_pixels(singles: int, patches: int, side: int) -> Float[Tensor, " supervised"]:

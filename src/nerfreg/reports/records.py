@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 METRICS = ("psnr", "ssim", "lpips", "average", "depth_rmse")
@@ -39,6 +39,9 @@ class RunRecord:
     final: all test views at full size; None while the run is being written, and for one that failed.
     points_per_second, peak_memory_mb: of the whole run; None while it is being written.
     settings: the configuration, flat (`sampler.coarse` -> 32). command: the overrides that reproduce the run.
+    shared: overrides that all runs on the same scene have, and that `method` therefore does not name.
+    failure: why it failed; None if it did not. threads: CPU threads that it trained with.
+    versions: of the packages that it ran with. finished: when `results.json` was written, seconds since 1970.
     """
 
     folder: Path
@@ -53,3 +56,8 @@ class RunRecord:
     peak_memory_mb: float | None
     settings: Mapping[str, object]
     command: tuple[str, ...]
+    shared: tuple[str, ...] = ()
+    failure: str | None = None
+    threads: int | None = None
+    versions: Mapping[str, str | None] = field(default_factory=dict)
+    finished: float | None = None

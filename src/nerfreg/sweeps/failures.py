@@ -1,0 +1,31 @@
+"""`failed.json`: why a run of a sweep has no results."""
+
+from __future__ import annotations
+
+import json
+import traceback
+from collections.abc import Sequence
+from datetime import UTC, datetime
+from pathlib import Path
+
+from nerfreg.evaluation.files import atomic
+
+FAILED = "failed.json"
+
+
+def write_failure(folder: Path, error: BaseException, overrides: Sequence[str]) -> None:
+    """Save the error's class, message and traceback, the job's overrides and the time."""
+    record = {
+        "error": type(error).__name__,
+        "message": str(error),
+        "overrides": [*overrides],
+        "traceback": "".join(traceback.format_exception(error)),
+        "time": datetime.now(UTC).isoformat(timespec="seconds"),
+    }
+    with atomic(folder / FAILED) as part:
+        part.write_text(json.dumps(record, indent=2) + "\n", encoding="utf-8")
+
+
+def in_one_line(error: BaseException) -> str:
+    """Class and message of an error, as a line of a table."""
+    return " ".join(f"{type(error).__name__}: {error}".split()).rstrip(": ")

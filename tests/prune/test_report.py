@@ -1,0 +1,86 @@
+from __future__ import annotations
+
+import io
+import json
+import math
+import random
+
+import pytest
+from rich.console import Console
+
+from nerfreg.prune.ledger import Ledger, Measurement
+from nerfreg.prune.plan import Design, Trial, make_folds, make_ladder
+from nerfreg.prune.record import record
+from nerfreg.prune.report import conclusions, duration, ends, print_report
+from nerfreg.prune.statistics import Interval
+from nerfreg.prune.study import Study
+from nerfreg.prune.summary import Summary, set_points
+
+GAINS = {"kl": 1.0, "lipschitz": -1.0}
+
+
+def measure(trial: Trial) -> Measurement:
+    """kl helps by 1 dB, lipschitz hurts as much and takes twice the time of a step, with 0.01 dB of noise."""
+    noise = random.Random(repr(trial)).gauss(0, 0.01)
+    level = 20.0 + trial.cell.seed + sum(GAINS[name] for name in trial.regularizers)
+    step_seconds = 0.02 if "lipschitz" in trial.regularizers else 0.01
+    return Measurement(level + noise, 0.1 - 0.01 * len(trial.regularizers), step_seconds, step_seconds * trial.steps)
+
+
+def studied(budget: float) -> Summary:
+    design = Design(("kl", "lipschitz"), make_folds(4, None), make_ladder(None, 100))
+    ledger = Ledger(measure)
+    outcome = Study(design, ledger, budget, 0.1, lambda line: None).run()
+    return Summary("fern", 4, design, ledger, outcome, 0.1, budget)
+
+
+def test_sets_and_their_front() -> None:
+    summary = studied(1000.0)
+    points = {point.regularizers: point for point in set_points(summary.design, summary.ledger)}
+    expected = {("kl",): (1.0, -0.5, True), (): (0.0, -0.5, False), ("kl", "lipschitz"): (0.0, 0.0, False)}
+    for names, (gain, time, on_front) in expected.items():
+        assert points[names].gain.mean == pytest.approx(gain, abs=0.05)
+        assert points[names].time.mean == pytest.approx(time)
+        assert points[names].on_front is on_front
+    assert points[("lipschitz",)].gain.mean == pytest.approx(-1.0, abs=0.05)
+    # `average` falls by 0.01 with each regularizer: one fewer than the full set has
+    assert points[("kl",)].average == pytest.approx(0.01)
+    # the set that was confirmed, at a whole run; vanilla at the first stage
+    assert (points[("kl",)].steps, points[()].steps) == (100, 25)
+
+
+def test_what_is_printed() -> None:
+    out = io.StringIO()
+    print_report(studied(1000.0), Console(file=out, width=80))
+    shown = out.getvalue()
+    assert "What each regularizer adds: fern, 4 training views" in shown
+    rows = {line.split()[0]: line.split() for line in shown.splitlines() if line.split()}
+    assert rows["kl:"][1] == "helps" and float(rows["kl:"][3]) > 0.5
+    assert rows["lipschitz:"][1] == "hurts"
+    assert "confirmed, not worse by more than 0.1 dB." in shown
+    assert "Pruned set: kl. Dropped: lipschitz." in shown
+    assert "--budget" not in shown  # nothing is open
+    assert max(map(len, shown.partition("kl:")[0].splitlines())) <= 80
+
+
+def test_what_cannot_be_told_names_a_budget() -> None:
+    lines = list(conclusions(studied(0.5)))
+    assert lines[:2] == ["kl: cannot tell: too few cells", "lipschitz: cannot tell: too few cells"]
+    assert lines[2] == "There was no time to confirm a smaller set: every regularizer stays."
+    assert lines[3].startswith("To tell more, a budget of about ")
+
+
+def test_the_record_is_strict_json() -> None:
+    content = record(studied(0.5), ["nerfreg", "prune"], "conf/reg/x.yaml")
+    text = json.dumps(content, allow_nan=False)
+    again = json.loads(text)
+    assert again["contributions"][0]["gain"]["low"] is None  # endless
+    assert again["trials"][0]["regularizers"] == ["kl", "lipschitz"]
+    assert again["budget_needed"] > 0
+
+
+def test_numbers_in_words() -> None:
+    assert ends(Interval(0.1, -0.1, 0.3, 4, 0.1)) == "-0.10..+0.30"
+    assert ends(Interval(0.1, -0.1, 0.3, 4, 0.1), 100.0, 0) == "-10..+30"
+    assert ends(Interval(0.1, -math.inf, math.inf, 1, math.nan)) == "?"
+    assert [duration(seconds) for seconds in (60, 7140, 9000)] == ["1 min", "119 min", "2.5 h"]

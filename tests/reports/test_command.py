@@ -1,0 +1,76 @@
+"""`nerfreg report` from the command line's point of view."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from nerfreg.cli import main
+from nerfreg.errors import NerfregError
+from nerfreg.reports.command import ReportOptions, parse_report_options
+
+PAPER = "dataset,views,scene,method,psnr,ssim,lpips,average\nllff,3,fern,vanilla,17.79,0.509,0.402,\n"
+
+
+def test_a_report(
+    write_run: Callable[..., Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    for seed, psnr in enumerate((20.0, 22.0)):
+        write_run(f"runs/{seed}", seed=seed, evaluations=((10.0, 15.0), (100.0, psnr)))
+    write_run(
+        "runs/kl", ["+reg=kl"], config={"reg": {"kl": {"weight": 1.0}}}, evaluations=((10.0, 15.0), (100.0, 23.0))
+    )
+    Path("paper.csv").write_text(PAPER)
+    assert main(["report", "runs", "-o", "out", "--paper", "paper.csv"]) == 0
+    printed = capsys.readouterr().out
+    for text in ("fern, 3 views", "21.00 ± 1.41", "vanilla (paper)", "17.79", "to", "out/tables.md", "out/runs.csv"):
+        assert text in printed, text
+    assert "| kl | **23.00** |" in Path("out/tables.md").read_text()
+    assert Path("out/report.html").is_file()
+
+
+@pytest.mark.parametrize(
+    ("words", "options"),
+    [
+        (["a", "b"], ReportOptions((Path("a"), Path("b")))),
+        (["-o", "x", "a", "--psnr", "-1.5"], ReportOptions((Path("a"),), Path("x"), psnr=-1.5)),
+        (
+            ["a", "--paper", "p.csv", "--views", "v1,v2,"],
+            ReportOptions((Path("a"),), paper=Path("p.csv"), pictures=("v1", "v2")),
+        ),
+    ],
+)
+def test_options(words: list[str], options: ReportOptions) -> None:
+    assert parse_report_options(words) == options
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        ([], "report needs folders of runs"),
+        (["-o", "x"], "report needs folders of runs"),
+        (["a", "-o"], "-o needs a folder"),
+        (["a", "--paper", "-o", "x"], "--paper needs a CSV file"),
+        (["a", "--pape"], "unknown option '--pape'; did you mean '--paper'?"),
+        (["a", "--psnr", "high"], "--psnr high: must be a number"),
+        (["a", "--psnr", "nan"], "--psnr nan: must be a number"),
+        (["a", "-o", "file"], "-o file: is a file"),
+    ],
+)
+def test_words_that_cannot_be(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, words: list[str], message: str) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("file").write_text("")
+    with pytest.raises(NerfregError) as error:
+        parse_report_options(words)
+    assert message in str(error.value)
+
+
+def test_no_run(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["report", str(tmp_path)]) == 2
+    assert "no run found" in capsys.readouterr().err
+    assert main(["report", str(tmp_path / "nowhere")]) == 2
+    assert "nowhere: does not exist" in capsys.readouterr().err
+    assert not (tmp_path / "report").exists()
