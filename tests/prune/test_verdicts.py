@@ -6,7 +6,7 @@ import pytest
 
 from nerfreg.prune.plan import Comparison, Context, Design
 from nerfreg.prune.statistics import Interval
-from nerfreg.prune.verdicts import Finding, Verdict, judge, pareto, proposals
+from nerfreg.prune.verdicts import Finding, Verdict, judge, proposals
 
 HELPS, HURTS, NOTHING, UNKNOWN = (0.5, 1.0), (-1.0, -0.5), (-0.05, 0.05), (-0.5, 0.5)
 SLOWER, FASTER = (0.1, 0.2), (-0.2, -0.1)
@@ -79,10 +79,3 @@ def test_sentences() -> None:
     assert sentence(between(-0.05, 0.02)) == "makes no difference beyond 0.1 dB (-0.05 to +0.02 dB)"
     assert sentence(between(-0.5, 0.2)) == "cannot tell (-0.50 to +0.20 dB)"
     assert sentence(Interval(0.3, -math.inf, math.inf, 1, math.nan)) == "cannot tell"
-
-
-def test_pareto() -> None:
-    # (gain, time): the third is beaten by the first, the fifth by the second; the two equal ones do not beat each other
-    points = [(1.0, 0.0), (0.5, -0.2), (0.9, 0.1), (0.5, -0.2), (0.5, -0.1)]
-    assert pareto(points) == [True, True, False, True, False]
-    assert pareto([]) == []

@@ -10,7 +10,7 @@ from nerfreg.prune.ledger import Ledger
 from nerfreg.prune.plan import Design, Selection
 from nerfreg.prune.statistics import ERROR, Interval, interval
 from nerfreg.prune.study import Outcome
-from nerfreg.prune.verdicts import pareto
+from nerfreg.reports.pareto import front
 
 
 @dataclass(frozen=True)
@@ -57,6 +57,6 @@ def set_points(design: Design, ledger: Ledger) -> list[SetPoint]:
                 average = fmean(averages) if averages else None
                 points.append(SetPoint(names, steps, interval(gains, ERROR), interval(times, ERROR), average))
                 break
-    front = pareto([(point.gain.mean, point.time.mean) for point in points])
-    points = [replace(point, on_front=best) for point, best in zip(points, front, strict=True)]
+    best = front([(-point.gain.mean, point.time.mean) for point in points])
+    points = [replace(point, on_front=index in best) for index, point in enumerate(points)]
     return sorted(points, key=lambda point: -point.gain.mean)

@@ -1,8 +1,8 @@
-"""What intervals mean: verdicts on regularizers, what to keep, and which sets are worth their time."""
+"""What intervals mean: verdicts on regularizers, and what to keep."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import StrEnum
 
@@ -79,14 +79,3 @@ def proposals(design: Design, findings: Mapping[Comparison, Finding]) -> tuple[S
         kept += returned
         chain.append(design.ordered(kept))
     return tuple(dict.fromkeys(chain))
-
-
-def pareto(points: Sequence[tuple[float, float]]) -> list[bool]:
-    """Which of the points (gain, time) no other beats: none is as good in both and better in one."""
-    return [
-        not any(
-            other_gain >= gain and other_time <= time and (other_gain, other_time) != (gain, time)
-            for other_gain, other_time in points
-        )
-        for gain, time in points
-    ]
