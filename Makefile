@@ -28,5 +28,5 @@ $(VENV)/.installed: pyproject.toml constraints.txt | $(BIN)/python
 	touch $@
 
 $(VENV)/.installed-dev: pyproject.toml constraints.txt | $(BIN)/python
-	$(INSTALL) --editable '.[test,dev,video]'
+	$(INSTALL) --editable '.[test,dev,video,sweep]'
 	touch $@ $(VENV)/.installed

@@ -165,9 +165,9 @@ def test_training_leaves_a_run_that_can_be_cited_and_scored(
 
 def test_sweep_leaves_a_folder_for_each(elsewhere: Path) -> None:
     assert main(["train", "-m", "+reg=[full_geometry],[full_geometry,distortion]", "seed=0,1", *TINY, *SHORT]) == 0
-    runs = sorted(path.parent.name.split(",")[0] for path in elsewhere.glob("multirun/*/*/*/results.json"))
-    first, second = "reg=full_geometry", "reg=full_geometry+distortion"
-    assert runs == [f"0_{first}", f"1_{first}", f"2_{second}", f"3_{second}"]
+    runs = sorted(",".join(p.parent.name.split(",")[:2]) for p in elsewhere.glob("multirun/procedural/*/results.json"))
+    names = ("reg=full_geometry+distortion", "reg=full_geometry")
+    assert runs == [f"{name},seed={seed}" for name in names for seed in (0, 1)]
 
 
 def test_scene_draws_its_cameras(elsewhere: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -83,8 +83,8 @@ def test_window(step, start, end, active) -> None:
 
 def test_needs_unite() -> None:
     patches = Needs(patch_size=4, patch_fraction=0.25, neighbors="patch")
-    others = Needs(patch_size=2, patch_fraction=0.5, neighbors="extra", unseen_rays=0.1)
-    assert patches | others == others | patches == Needs(4, 0.5, "extra", 0.1)
+    others = Needs(patch_size=2, patch_fraction=0.5, neighbors="extra", unseen_rays=0.1, unseen_patches=0.2)
+    assert patches | others == others | patches == Needs(4, 0.5, "extra", 0.1, 0.2)
     assert Needs() | Needs() == Needs()
 
 

@@ -44,27 +44,23 @@ def test_jobs_run_in_other_processes(launcher: str, tmp_path: Path, environment:
     # each of two jobs has half of the cores, and at least one of them
     cores = len(os.sched_getaffinity(0)) if sys.platform == "linux" else os.cpu_count() or 1
     assert json.loads(results.read_text())["threads"] in {1, cores // 2}
-    written = results.stat().st_mtime_ns
-    again = subprocess.run(command(*words), cwd=tmp_path, env=environment, capture_output=True, text=True)
-    assert "2 jobs: 0 done, 1 skipped, 1 failed" in again.stdout, again.stderr
-    assert results.stat().st_mtime_ns == written
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="no process groups")
-@pytest.mark.parametrize("launcher", ["basic", "joblib"])
+@pytest.mark.parametrize("launcher", ["basic", pytest.param("joblib", marks=pytest.mark.slow)])
 def test_interrupt_leaves_whole_runs_whole(launcher: str, tmp_path: Path, environment: dict[str, str]) -> None:
     choice: list[str] = []
     if launcher == "joblib":
         pytest.importorskip("hydra_plugins.hydra_joblib_launcher")
         choice = LAUNCHERS["joblib"][1]
-    # seed 0 ends after two steps; the other would go on for an hour
+    # one job ends after two steps; the other would go on for an hour
     words = ["train.seconds=3600", "train.steps=2,null", *choice, *TINY[:5], *TINY[6:], "train.quiet=true"]
     sweep = subprocess.Popen(
         command(*words), cwd=tmp_path, env=environment, stdout=subprocess.PIPE, text=True, start_new_session=True
     )
     try:
         deadline = time.monotonic() + 120
-        while len([*tmp_path.rglob("results.json")]) < 1 or len([*tmp_path.rglob("config.yaml")]) < 2:
+        while not ([*tmp_path.rglob("results.json")] and [*tmp_path.glob("multirun/.jobs/*/1.json")]):
             assert sweep.poll() is None and time.monotonic() < deadline
             time.sleep(0.1)
         os.killpg(sweep.pid, signal.SIGINT)  # what a terminal does on Ctrl-C

@@ -27,11 +27,16 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> zipfile.ZipFile:
 
 def test_wheel_holds_every_source_and_config(wheel: zipfile.ZipFile) -> None:
     packages = [ROOT / "src" / "nerfreg", ROOT / "plugins" / "nerfreg_plugins"]
-    sources = {str(path.relative_to(package.parent)) for package in packages for path in package.rglob("*.py")}
+    sources = {
+        str(path.relative_to(package.parent))
+        for package in packages
+        for path in package.rglob("*")
+        if path.is_file() and "__pycache__" not in path.parts
+    }
     configs = {f"nerfreg/{path.relative_to(ROOT)}" for path in (ROOT / "conf").rglob("*.yaml")}
     shipped = {name for name in wheel.namelist() if ".dist-info/" not in name}
     assert shipped == sources | configs
-    assert "nerfreg/conf/config.yaml" in configs
+    assert "nerfreg/conf/config.yaml" in configs and "nerfreg/reports/template/report.html.j2" in sources
 
 
 def test_wheel_registers_what_pyproject_says(wheel: zipfile.ZipFile) -> None:

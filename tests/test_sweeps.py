@@ -243,7 +243,7 @@ def test_trial_that_fails_is_left_out(valley: Valley) -> None:
     # of four draws with a fixed seed both come up
     assert main([*words, HELD_OUT]) == 1
     assert {*valley.weights} == {0.5, 1.0}
-    assert "reg.kl.weight: '0.5'" in Path("multirun/optimization_results.yaml").read_text()
+    assert "reg.kl.weight: 0.5\n" in Path("multirun/optimization_results.yaml").read_text()
 
 
 @pytest.mark.filterwarnings("ignore")

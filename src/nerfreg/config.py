@@ -25,7 +25,7 @@ from omegaconf import DictConfig, OmegaConf
 
 from nerfreg.errors import NerfregError
 from nerfreg.hooks import Regularizer
-from nerfreg.naming import run_name, slug
+from nerfreg.naming import run_name
 from nerfreg.nearest import nearest
 from nerfreg.registry import Hooks, PluginInfo, installed
 
@@ -72,7 +72,6 @@ def register() -> list[PluginInfo]:
     from nerfreg.scenes import SCENES
 
     OmegaConf.register_new_resolver("run_name", run_name, replace=True)
-    OmegaConf.register_new_resolver("slug", slug, replace=True)
     store = ConfigStore.instance()
     store.store(name="schema", node=Config)
     for name in SCENES:

@@ -81,7 +81,8 @@ class Rays:
     background: (R, 3) what shines through where opacity is below 1; None where the photographs have no alpha.
     patches: (P, S, S) ray indices; rows run down the image, columns to the right. None if nobody needs patches.
     neighbors: (M, 2) ray indices of adjacent pixels, first the ray, then its neighbour. Both share their t.
-    unseen: (U,) ray indices from unseen poses. unseen_patches: (Q, S, S) those of them that form patches, or None.
+    unseen: (U,) ray indices from unseen poses. unseen_patches: (Q, S, S) those of them that form patches,
+        or None.
     groups: (R,) rays with the same number share their t; None if no rays do.
     target_weights: (S,) what each target counts in the colour error, 1 on average; a patch counts as much as one random
         pixel, since its pixels say nearly the same. None where all are equal.
@@ -96,7 +97,7 @@ class Rays:
     patches: Int[Tensor, "patches side side"] | None = None
     neighbors: Int[Tensor, "pairs 2"] | None = None
     unseen: Int[Tensor, " unseen"] | None = None
-    unseen_patches: Int[Tensor, "unseen_patches side side"] | None = None
+    unseen_patches: Int[Tensor, "unseen_patches width width"] | None = None
     groups: Int[Tensor, " rays"] | None = None
     target_weights: Float[Tensor, " supervised"] | None = None
 

@@ -33,6 +33,7 @@ def test_is_a_valid_batch_and_always_the_same(case, samples):
     # neighbours share their t
     assert torch.equal(inputs.t_edges[rays.neighbors[:, 0]], inputs.t_edges[rays.neighbors[:, 1]])
     assert rays.unseen.min() >= len(rays.targets)
+    assert torch.equal(rays.unseen_patches.flatten(), rays.unseen)
 
 
 @pytest.mark.parametrize(

@@ -19,6 +19,7 @@ def batch() -> Inputs:
         patches=torch.tensor([[[0, 1], [2, 3]]]),
         neighbors=torch.tensor([[0, 1], [2, 3], [0, 2]]),
         unseen=torch.tensor([4]),
+        unseen_patches=torch.tensor([[[4]]]),
     )
     edges = torch.stack([number, number + 1], dim=1)
     return Inputs(rays, number[:, None], number[:, None, None].expand(5, 1, 3), edges, torch.zeros(5, 1, 4), (0.0, 6.0))
@@ -35,6 +36,7 @@ def assert_consistent(inputs: Inputs, copies: int) -> None:
     assert torch.equal(number[rays.patches], torch.tensor([[[0.0, 1.0], [2.0, 3.0]]]).repeat(copies, 1, 1))
     assert torch.equal(number[rays.neighbors], torch.tensor([[0.0, 1.0], [2.0, 3.0], [0.0, 2.0]]).repeat(copies, 1))
     assert torch.equal(number[rays.unseen], torch.full((copies,), 4.0))
+    assert torch.equal(number[rays.unseen_patches], torch.full((copies, 1, 1), 4.0))
 
 
 def test_permuted():

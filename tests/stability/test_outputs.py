@@ -41,6 +41,7 @@ def test_needs_that_can_be_met(needs: Needs | None) -> None:
         (Needs(patch_fraction=1.5), "patch_fraction=1.5: must be between 0 and 1"),
         (Needs(patch_fraction=float("nan")), "patch_fraction=nan: must be between 0 and 1"),
         (Needs(unseen_rays=float("inf")), "unseen_rays=inf: must be at least 0 and below 1"),
+        (Needs(unseen_patches=1.0), "unseen_patches=1.0: must be at least 0 and below 1"),
         (Needs(neighbors="diagonal"), "neighbors='diagonal': must be one of none, patch, extra"),
     ],
 )

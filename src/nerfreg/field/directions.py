@@ -6,8 +6,11 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-WIDTH = 16
-"""Number of harmonics of degree below 4."""
+DEGREES = (0, *[1] * 3, *[2] * 5, *[3] * 7)
+"""Degree of each harmonic."""
+
+WIDTH = len(DEGREES)
+"""Number of harmonics, those of degree below 4."""
 
 
 def spherical_harmonics(directions: Float[Tensor, "*rays 3"]) -> Float[Tensor, "*rays 16"]:

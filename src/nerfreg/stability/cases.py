@@ -153,10 +153,10 @@ class Case:
     bounds: tuple[float, float] | None = None
 
     def build(self, samples: int) -> Inputs:
-        """The rays, in float64: the pixels of a patch, and two more (one where samples are many) from unseen poses."""
-        side, unseen = (2, 1) if samples >= FEW_RAYS else (4, 2)
+        """The rays, in float64: the pixels of a patch, and one more of 2 x 2 from an unseen pose."""
+        side = 2 if samples >= FEW_RAYS else 4
         supervised = side * side
-        count = supervised + unseen
+        count = supervised + 4
         chance = torch.Generator().manual_seed(0)
         index = torch.arange(count)
         edges = self.cut(samples, chance)
@@ -183,6 +183,7 @@ class Case:
                 ]
             ),
             unseen=index[supervised:],
+            unseen_patches=index[supervised:].view(1, 2, 2),
         )
         return Inputs(
             rays=rays,

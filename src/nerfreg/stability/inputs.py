@@ -101,6 +101,7 @@ def _indexed(
         patches=moved(rays.patches),
         neighbors=moved(rays.neighbors),
         unseen=moved(rays.unseen),
+        unseen_patches=moved(rays.unseen_patches),
     )
     pick = partial(torch.index_select, dim=0, index=order)
     return Inputs(

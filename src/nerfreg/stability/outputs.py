@@ -28,6 +28,8 @@ def wrong_needs(needs: object) -> list[str]:
         wrong.append(f"patch_fraction={needs.patch_fraction!r}: must be between 0 and 1")
     if not 0 <= needs.unseen_rays < 1:
         wrong.append(f"unseen_rays={needs.unseen_rays!r}: must be at least 0 and below 1")
+    if not 0 <= needs.unseen_patches < 1:
+        wrong.append(f"unseen_patches={needs.unseen_patches!r}: must be at least 0 and below 1")
     if needs.neighbors not in NEIGHBORS:
         wrong.append(f"neighbors={needs.neighbors!r}: must be one of {', '.join(NEIGHBORS)}")
     return wrong
