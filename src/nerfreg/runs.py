@@ -25,6 +25,7 @@ from nerfreg.evaluation.scores import Scores, photograph, score_views
 from nerfreg.evaluation.video import write_video
 from nerfreg.field import RadianceField
 from nerfreg.field.fit import fitted
+from nerfreg.field.workers import set_threads, threads
 from nerfreg.recording import Recorder
 from nerfreg.registry import Hooks, Term
 from nerfreg.rendering.views import View, ViewRenderer
@@ -154,12 +155,10 @@ def load_run(run: Path, overrides: Sequence[str] = ()) -> tuple[Config, Scene, R
 
 def prepare(config: Config) -> torch.device:
     """Set the number of threads, and say which device is meant. Raises NerfregError for one that is not there."""
-    threads = config.train.threads
-    if threads is not None:
-        if not 1 <= threads <= numba.config.NUMBA_NUM_THREADS:
-            raise NerfregError(f"train.threads={threads}: this machine has 1 to {numba.config.NUMBA_NUM_THREADS}")
-        numba.set_num_threads(threads)
-        torch.set_num_threads(threads)  # afterwards: numba starts its threads then, and resets OpenMP's number
+    count = threads() if config.train.threads is None else config.train.threads
+    if not 1 <= count <= numba.config.NUMBA_NUM_THREADS:
+        raise NerfregError(f"train.threads={count}: this machine has 1 to {numba.config.NUMBA_NUM_THREADS}")
+    set_threads(count)
     name = config.device
     if name == "auto":
         name = "cuda" if torch.cuda.is_available() else "cpu"
@@ -227,7 +226,7 @@ def _about(config: Config, scene: Scene) -> dict[str, Any]:
         "regularizers": {name: asdict(plugin) for name, plugin in config.reg.items()},
         "grid": {key: getattr(config.field, key) for key in ("levels", "base", "finest", "log2_entries")},
         "seed": config.seed,
-        "threads": torch.get_num_threads(),
+        "threads": threads(),
         "versions": {"python": platform.python_version(), **{name: _version(name) for name in PACKAGES}},
     }
 

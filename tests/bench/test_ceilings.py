@@ -41,7 +41,7 @@ def test_rates_are_work_over_the_best_time(monkeypatch: pytest.MonkeyPatch) -> N
     # A clock by which everything takes 2 seconds.
     ticks = iter(range(1000))
     monkeypatch.setattr(ceilings, "perf_counter", lambda: 2.0 * next(ticks))
-    monkeypatch.setattr(ceilings.torch, "get_num_threads", lambda: 1)
+    monkeypatch.setattr(ceilings, "threads", lambda: 1)
     measured = measure_ceilings(square=64, copy_mb=1, repetitions=3)
     assert measured.square_gflops == 2 * 64**3 / 2 / 1e9
     # One MB is read and one is written.

@@ -195,6 +195,36 @@ def test_shifts_in_between_leave_the_fused_path(where: str) -> None:
     torch.testing.assert_close(Network([*layers])(x), expected)
 
 
+@pytest.mark.parametrize("name", ["relu", "gelu", "mixed"])
+def test_bfloat16_is_as_near_as_its_eight_bits_allow(name: str) -> None:
+    """Every rounding errs by 2^-9 of its value at most, and a handful of them lie between input and output."""
+    torch.manual_seed(0)
+    network = Network(NETWORKS[name]())
+    x = torch.randn(CHUNK + 3, 6)
+    upstream = torch.randn(CHUNK + 3, 3)
+    results = []
+    for precision in (torch.float32, torch.bfloat16):
+        network.precision = precision
+        network.zero_grad(set_to_none=True)
+        inputs = x.clone().requires_grad_()
+        out = network(inputs)
+        out.backward(upstream)
+        made = [out.detach(), inputs.grad, *(p.grad for p in network.parameters())]
+        assert all(tensor.dtype == torch.float32 for tensor in made)
+        results.append(made)
+    for exact, rounded in zip(*results, strict=True):
+        error = (rounded - exact).norm() / exact.norm()
+        assert 0 < error < 8 * 2**-9
+
+
+def test_a_network_of_one_layer_and_a_double_one_round_nothing() -> None:
+    x = torch.randn(7, 6)
+    one = NETWORKS["one layer"]()
+    torch.testing.assert_close(Network(one, torch.bfloat16)(x), Network(one)(x), rtol=0, atol=0)
+    double = Network(NETWORKS["relu"](), torch.bfloat16).double()
+    torch.testing.assert_close(double(x.double()), double(x.double(), plain=True), rtol=1e-14, atol=1e-14)
+
+
 def test_frozen_weights_get_no_gradient_and_the_input_does() -> None:
     network = Network(NETWORKS["relu"]())
     wanted, x = torch.randn(5, 6, requires_grad=True), torch.randn(5, 6)

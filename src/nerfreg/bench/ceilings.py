@@ -10,7 +10,7 @@ import torch
 from torch import nn
 
 from nerfreg.field.radiance_field import RadianceField
-from nerfreg.field.workers import in_shares
+from nerfreg.field.workers import in_shares, threads
 
 ROWS, WIDTH = 4096, 64
 """The networks' matrix products: chunks of so many points, through layers so wide."""
@@ -29,20 +29,25 @@ class Ceilings:
 
 
 def measure_ceilings(square: int, copy_mb: int, repetitions: int = 5) -> Ceilings:
-    """The best of some repetitions with torch's threads. square: side of the large product. copy_mb: what is copied."""
-    threads = torch.get_num_threads()
+    """The best of some repetitions with all threads. square: side of the large product. copy_mb: what is copied."""
+    count = threads()
     products = max(square // WIDTH, 1) * 8
 
     def on_every_thread() -> None:
-        in_shares(threads * ROWS, ROWS, lambda start, stop: _multiply(stop - start, products))
+        in_shares(count * ROWS, ROWS, lambda start, stop: _multiply(stop - start, products))
 
     a, b, product = (torch.rand(square, square) for _ in range(3))
     source, target = (torch.zeros(copy_mb * 2**18) for _ in range(2))
-    return Ceilings(
-        threads * products * product_flop(ROWS, WIDTH, WIDTH) / _best(on_every_thread, repetitions) / 1e9,
-        product_flop(square, square, square) / _best(lambda: torch.mm(a, b, out=product), repetitions) / 1e9,
-        2 * copy_mb * 2**20 / _best(lambda: target.copy_(source), repetitions) / 1e9,
-    )
+    of_torch = torch.get_num_threads()
+    torch.set_num_threads(count)
+    try:
+        return Ceilings(
+            count * products * product_flop(ROWS, WIDTH, WIDTH) / _best(on_every_thread, repetitions) / 1e9,
+            product_flop(square, square, square) / _best(lambda: torch.mm(a, b, out=product), repetitions) / 1e9,
+            2 * copy_mb * 2**20 / _best(lambda: target.copy_(source), repetitions) / 1e9,
+        )
+    finally:
+        torch.set_num_threads(of_torch)
 
 
 def product_flop(rows: int, inner: int, columns: int) -> int:

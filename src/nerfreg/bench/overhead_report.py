@@ -8,13 +8,13 @@ from pathlib import Path
 from statistics import mean
 from typing import TYPE_CHECKING
 
-import torch
 from rich.console import Console
 
 from nerfreg.bench.overhead import CORE, NO_MANAGER, PLUGIN, PRESET, Point, Sizes
 from nerfreg.bench.plots import GUIDE, PALETTE, panels, save
 from nerfreg.bench.results import new_table
 from nerfreg.config import Config
+from nerfreg.field.workers import threads
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -88,7 +88,7 @@ def print_table(summary: Sequence[Overhead], config: Config, scene: str, sizes: 
         f"({config.sampler.coarse} + {config.sampler.fine}) samples",
         f"Median over {sizes.steps} alternating steps of the ratio to vanilla's step in the same round, and its 10 and "
         f"90 % quantiles, averaged over {shares} % of the budget. points: density evaluations, against vanilla's. "
-        f"Threads: {torch.get_num_threads()}.",
+        f"Threads: {threads()}.",
     )
     table.add_column("variant", no_wrap=True)
     for header in ("ratio", "10-90 %", "points", "limit", ""):

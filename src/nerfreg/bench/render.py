@@ -9,12 +9,12 @@ from pathlib import Path
 from time import perf_counter
 from typing import Any
 
-import torch
 from rich.console import Console
 
 from nerfreg.bench.results import Outcome, new_table, write_record
 from nerfreg.bench.timing import spread
 from nerfreg.field import RadianceField
+from nerfreg.field.workers import threads
 from nerfreg.rendering.config import SamplerConfig
 from nerfreg.rendering.views import ViewRenderer
 from nerfreg.runs import load_run
@@ -42,7 +42,7 @@ def run(folder: Path, sizes: Sizes, words: tuple[str, ...]) -> Outcome:
         "scene": scene.name,
         "reg": list(config.reg),
         **measure(field, config.sampler, scene, sizes.views),
-        "threads": torch.get_num_threads(),
+        "threads": threads(),
         "peak_memory_mb": round(peak_memory_mb()),
     }
     print_table(record)

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-import torch
 from rich.console import Console
 
 from nerfreg.bench.configured import TINY, compose, make_trainer, prepare_cpu, step_at
@@ -17,6 +16,7 @@ from nerfreg.bench.plots import PALETTE, panels, save
 from nerfreg.bench.results import Outcome, new_table, write_csv
 from nerfreg.bench.timing import in_turns, spread
 from nerfreg.config import Config
+from nerfreg.field.workers import threads
 from nerfreg.scenes import load_scene
 from nerfreg.training.memory import keep_large_blocks
 
@@ -132,7 +132,7 @@ def print_table(points: Sequence[Point], config: Config, sizes: Sizes) -> None:
     table = new_table(
         f"Time of a step against its sizes: {', '.join(config.reg) or 'vanilla'}",
         f"Around {config.train.rays} rays x ({sampler.coarse} + {sampler.fine}) samples, {field.levels} levels of "
-        f"2^{field.log2_entries} entries; median of {sizes.steps} steps; threads: {torch.get_num_threads()}. "
+        f"2^{field.log2_entries} entries; median of {sizes.steps} steps; threads: {threads()}. "
         "slope: p in time ~ size^p. off: how far the times are from a straight line, at most.",
     )
     table.add_column("swept", no_wrap=True)

@@ -8,7 +8,6 @@ from pathlib import Path
 from time import perf_counter
 from typing import Any
 
-import torch
 from torch import Tensor
 
 from nerfreg.bench.ceilings import Ceilings, measure_ceilings, step_flop
@@ -18,6 +17,7 @@ from nerfreg.bench.results import Outcome, write_record
 from nerfreg.bench.timing import Spread, in_turns, spread
 from nerfreg.config import Config
 from nerfreg.field.fit import fitted
+from nerfreg.field.workers import threads
 from nerfreg.scenes import load_scene
 from nerfreg.scenes.scene import Scene
 from nerfreg.training.memory import keep_large_blocks, peak_memory_mb
@@ -144,7 +144,7 @@ def measure(config: Config, scene: Scene, sizes: Sizes) -> Measured:
         memory_mb=peak_memory_mb(),
         compile_seconds=built - begun,
         warmup_seconds=warm - built,
-        threads=torch.get_num_threads(),
+        threads=threads(),
         ceilings=measure_ceilings(sizes.square, sizes.copy_mb),
     )
 

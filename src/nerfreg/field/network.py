@@ -18,11 +18,15 @@ CHUNK = 4096
 
 
 class Network(nn.Module):
-    """Layers one after the other; each applies its own activation."""
+    """Layers one after the other; each applies its own activation.
 
-    def __init__(self, layers: list[nn.Module]) -> None:
+    precision: the type in which the fused path computes all layers but the last; autograd keeps that of the input.
+    """
+
+    def __init__(self, layers: list[nn.Module], precision: torch.dtype = torch.float32) -> None:
         super().__init__()
         self.layers = nn.ModuleList(layers)
+        self.precision = precision
 
     def forward(
         self,
@@ -51,7 +55,7 @@ class Network(nn.Module):
         used = weights[0][:, : x.shape[1]]
         weights[0] = used if scale is None else used * scale[: x.shape[1]]
         activations = tuple(layer.activation for layer in self.layers)
-        return shifted(_FusedNetwork.apply(x, activations, *weights), last.output_shift())
+        return shifted(_FusedNetwork.apply(x, activations, self._precision(x), *weights), last.output_shift())
 
     def _affine(self) -> list[Any] | None:
         """Weight and bias of every layer in turn; None where the fused kernels cannot run.
@@ -69,6 +73,10 @@ class Network(nn.Module):
                 return None
             parts.extend(effective)
         return parts
+
+    def _precision(self, x: Tensor) -> torch.dtype:
+        """Never more than that of the input: a double network stays double."""
+        return self.precision if x.dtype == torch.float32 else x.dtype
 
     def _plain(self, x: Tensor, scale: Tensor | None) -> Tensor:
         x = _scaled(x, scale)
@@ -95,18 +103,21 @@ def _scaled(x: Tensor, scale: Tensor | None) -> Tensor:
 class _FusedNetwork(torch.autograd.Function):
     """All layers over one chunk of points after the other, forward and backward.
 
-    For a ReLU the layer's output is kept, for the other activations what went into it; each once.
+    For a ReLU the layer's output is kept, for the other activations what went into it; each once. All layers but the
+    last compute in `precision`; the last, and all sums over points, in the type of x.
     """
 
     @staticmethod
-    def forward(ctx: Any, x: Tensor, activations: tuple[str, ...], *parameters: Tensor | None) -> Tensor:
-        layers = _layers(activations, parameters)
+    def forward(
+        ctx: Any, x: Tensor, activations: tuple[str, ...], precision: torch.dtype, *parameters: Tensor | None
+    ) -> Tensor:
+        layers = _layers(activations, parameters, precision)
         training = any(ctx.needs_input_grad)
-        kept = [x.new_empty(len(x), len(layer.weight)) for layer in layers[:-1]] if training else []
+        kept = [_empty(len(x), layer) for layer in layers[:-1]] if training else []
         output = x.new_empty(len(x), len(layers[-1].weight))
 
         def run(first: int, last: int) -> None:
-            buffers = [] if training else [x.new_empty(CHUNK, len(layer.weight)) for layer in layers[:-1]]
+            buffers = [] if training else [_empty(CHUNK, layer) for layer in layers[:-1]]
             for start in range(first, last, CHUNK):
                 stop = min(start + CHUNK, last)
                 rows = [k[start:stop] for k in kept] if training else [b[: stop - start] for b in buffers]
@@ -115,7 +126,7 @@ class _FusedNetwork(torch.autograd.Function):
                     hidden = layer.forward(hidden, out)
 
         in_shares(len(x), CHUNK, run)
-        ctx.activations = activations
+        ctx.activations, ctx.precision = activations, precision
         ctx.save_for_backward(x, *parameters, *kept)
         return output
 
@@ -123,27 +134,28 @@ class _FusedNetwork(torch.autograd.Function):
     def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor | None, ...]:
         count = len(ctx.activations)
         x, *rest = ctx.saved_tensors
-        layers, kept = _layers(ctx.activations, rest[: 2 * count]), rest[2 * count :]
+        parameters, kept = rest[: 2 * count], rest[2 * count :]
+        layers = _layers(ctx.activations, parameters, ctx.precision)
         x_grad = torch.empty_like(x) if ctx.needs_input_grad[0] else None
 
         def zeros() -> list[Tensor | None]:
-            wanted = zip(rest[: 2 * count], ctx.needs_input_grad[2:], strict=True)
+            wanted = zip(parameters, ctx.needs_input_grad[3:], strict=True)
             return [torch.zeros_like(parameter) if needed else None for parameter, needed in wanted]
 
         def run(first: int, last: int) -> list[Tensor | None]:
             sums = zeros()
-            buffers = [x.new_empty(CHUNK, layer.weight.shape[1]) for layer in layers]
+            buffers = [layer.weight.new_empty(CHUNK, layer.weight.shape[1]) for layer in layers]
             for start in range(first, last, CHUNK):
                 stop = min(start + CHUNK, last)
                 grad = grads[0][start:stop]
                 for i in range(count - 1, -1, -1):
                     before = kept[i - 1][start:stop] if i else x[start:stop]
                     activation = layers[i - 1].activation if i else "none"
-                    _add_parameter_grads(sums[2 * i : 2 * i + 2], grad, before, activation)
+                    layers[i].add_parameter_grads(sums[2 * i : 2 * i + 2], grad, before, activation)
                     if i:
                         grad = layers[i].backward(grad, buffers[i][: stop - start], before, activation)
                     elif x_grad is not None:
-                        torch.mm(grad, layers[0].weight, out=x_grad[start:stop])
+                        x_grad[start:stop] = torch.mm(grad, layers[0].weight, out=buffers[0][: stop - start])
             return sums
 
         shares = in_shares(len(x), CHUNK, run)
@@ -152,16 +164,19 @@ class _FusedNetwork(torch.autograd.Function):
             for total, part in zip(totals, sums, strict=True):
                 if total is not None and part is not None:
                     total += part
-        return x_grad, None, *totals
+        return x_grad, None, None, *totals
 
 
 class _Layer(NamedTuple):
+    """Weight and bias are of the type in which the layer computes."""
+
     weight: Tensor
     bias: Tensor | None
     activation: str
 
     def forward(self, x: Tensor, out: Tensor) -> Tensor:
         """Activation of x W^T + b; `out` holds it for a ReLU, else what went into it."""
+        x = x.to(self.weight.dtype)
         if self.bias is None:
             torch.mm(x, self.weight.t(), out=out)
         else:
@@ -169,23 +184,37 @@ class _Layer(NamedTuple):
         return out.relu_() if self.activation == "relu" else ACTIVATIONS[self.activation](out)
 
     def backward(self, grad: Tensor, out: Tensor, before: Tensor, activation: str) -> Tensor:
-        """Gradient of what went into the layer below, whose activation gave this layer's input."""
-        torch.mm(grad, self.weight, out=out)
+        """Gradient of what went into the layer below, whose activation gave this layer's input, in its type."""
+        grad = torch.mm(grad, self.weight, out=out).to(before.dtype)
         if activation == "relu":
-            torch.ops.aten.threshold_backward.grad_input(out, before, 0, grad_input=out)
+            torch.ops.aten.threshold_backward.grad_input(grad, before, 0, grad_input=grad)
         elif activation == "gelu":
-            torch.ops.aten.gelu_backward.grad_input(out, before, grad_input=out)
-        return out
+            torch.ops.aten.gelu_backward.grad_input(grad, before, grad_input=grad)
+        return grad
+
+    def add_parameter_grads(self, sums: Sequence[Tensor | None], grad: Tensor, before: Tensor, activation: str) -> None:
+        """Add the sums over the points of a chunk to those before it."""
+        weight, bias = sums
+        if weight is not None:
+            x = (functional.gelu(before) if activation == "gelu" else before).to(grad.dtype)
+            if weight.dtype == grad.dtype:
+                weight.addmm_(grad.t(), x)
+            else:
+                weight += grad.t() @ x
+        if bias is not None:
+            bias += grad.sum(dim=0, dtype=bias.dtype)
 
 
-def _add_parameter_grads(sums: Sequence[Tensor | None], grad: Tensor, before: Tensor, activation: str) -> None:
-    weight, bias = sums
-    if weight is not None:
-        weight.addmm_(grad.t(), functional.gelu(before) if activation == "gelu" else before)
-    if bias is not None:
-        bias += grad.sum(dim=0)
-
-
-def _layers(activations: tuple[str, ...], parameters: Sequence[Tensor | None]) -> list[_Layer]:
+def _layers(activations: tuple[str, ...], parameters: Sequence[Tensor | None], precision: torch.dtype) -> list[_Layer]:
     weights = [weight for weight in parameters[::2] if weight is not None]
-    return [_Layer(*parts) for parts in zip(weights, parameters[1::2], activations, strict=True)]
+    *hidden, last = [_Layer(*parts) for parts in zip(weights, parameters[1::2], activations, strict=True)]
+    return [*(_rounded(layer, precision) for layer in hidden), last]
+
+
+def _rounded(layer: _Layer, precision: torch.dtype) -> _Layer:
+    bias = None if layer.bias is None else layer.bias.to(precision)
+    return _Layer(layer.weight.to(precision), bias, layer.activation)
+
+
+def _empty(points: int, layer: _Layer) -> Tensor:
+    return layer.weight.new_empty(points, len(layer.weight))

@@ -36,11 +36,13 @@ class RadianceField(nn.Module):
         self.bias = config.density_bias
         self.half_box = float((box[1] - box[0]).max()) / 2
         self.register_buffer("center", box.mean(dim=0), persistent=False)
-        geometry, hidden = config.geometry, config.hidden
+        geometry, hidden, precision = config.geometry, config.hidden, getattr(torch, config.precision)
         self.density_network = _build(
-            "density", [layout.features, *[hidden] * (config.density_layers - 1), 1 + geometry], make_layer
+            "density", [layout.features, *[hidden] * (config.density_layers - 1), 1 + geometry], make_layer, precision
         )
-        self.color_network = _build("color", [WIDTH + geometry, *[hidden] * (config.color_layers - 1), 3], make_layer)
+        self.color_network = _build(
+            "color", [WIDTH + geometry, *[hidden] * (config.color_layers - 1), 3], make_layer, precision
+        )
 
     @contextmanager
     def frozen(self) -> Iterator[None]:
@@ -96,11 +98,12 @@ class RadianceField(nn.Module):
         return torch.sigmoid(self.color_network(torch.cat([harmonics, raw], dim=1), gap=WIDTH))
 
 
-def _build(network: str, widths: list[int], make_layer: LayerFactory) -> Network:
+def _build(network: str, widths: list[int], make_layer: LayerFactory, precision: torch.dtype) -> Network:
     last = len(widths) - 2
     return Network(
         [
             make_layer(network, i, widths[i], widths[i + 1], "none" if i == last else "relu")
             for i in range(len(widths) - 1)
-        ]
+        ],
+        precision,
     )
