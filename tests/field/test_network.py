@@ -197,7 +197,11 @@ def test_shifts_in_between_leave_the_fused_path(where: str) -> None:
 
 @pytest.mark.parametrize("name", ["relu", "gelu", "mixed"])
 def test_bfloat16_is_as_near_as_its_eight_bits_allow(name: str) -> None:
-    """Every rounding errs by 2^-9 of its value at most, and a handful of them lie between input and output."""
+    """Every rounding errs by 2^-9 of its value at most, and a handful of them lie between input and output.
+
+    Backward, besides, a unit whose input is within 2^-9 of 0 may be on where it was off, one in some 400, with all of
+    its gradient: the root of 1/400 is 5 %.
+    """
     torch.manual_seed(0)
     network = Network(NETWORKS[name]())
     x = torch.randn(CHUNK + 3, 6)
@@ -212,9 +216,9 @@ def test_bfloat16_is_as_near_as_its_eight_bits_allow(name: str) -> None:
         made = [out.detach(), inputs.grad, *(p.grad for p in network.parameters())]
         assert all(tensor.dtype == torch.float32 for tensor in made)
         results.append(made)
-    for exact, rounded in zip(*results, strict=True):
-        error = (rounded - exact).norm() / exact.norm()
-        assert 0 < error < 8 * 2**-9
+    errors = [float((rounded - exact).norm() / exact.norm()) for exact, rounded in zip(*results, strict=True)]
+    assert 0 < errors[0] < 8 * 2**-9
+    assert max(errors[1:]) < 0.08
 
 
 def test_a_network_of_one_layer_and_a_double_one_round_nothing() -> None:

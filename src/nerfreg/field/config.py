@@ -21,8 +21,8 @@ class FieldConfig:
     hidden, geometry: width of the hidden layers, and of what the density network hands to the colour network.
     density_layers, color_layers: number of layers of each network.
     density_bias: added to the raw density before the exponential.
-    precision: "float32", or "bfloat16" for all layers of the networks but the last, in the fused kernels; weights, their
-        gradients and what leaves a network stay float32. Faster on processors with instructions for it.
+    precision: "float32", or "bfloat16" for all layers of the networks but the last, in the fused kernels; weights,
+        their gradients and what leaves a network stay float32. Faster on processors with instructions for it.
     backend: "auto" (numba on the CPU, torch elsewhere), "numba" or "torch".
     """
 
