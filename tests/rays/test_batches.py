@@ -147,3 +147,23 @@ def test_a_box_that_no_ray_meets_is_refused(orbit: Scene) -> None:
 def test_patches_larger_than_the_images_are_refused(orbit: Scene) -> None:
     with pytest.raises(NerfregError, match=r"patch_size 33 is larger than the images"):
         draw(orbit, Needs(patch_size=33, patch_fraction=1.0), 2000)
+
+
+@pytest.mark.parametrize("layout", ["orbit", "forward"])
+def test_unseen_patches_are_squares_of_one_unseen_camera_each(layout: str, request: pytest.FixtureRequest) -> None:
+    scene = request.getfixturevalue(layout)
+    rays = draw(scene, Needs(patch_size=4, unseen_patches=0.5, unseen_rays=0.25))
+    assert rays.unseen is not None and rays.unseen_patches is not None
+    # Half of 64 rays are two patches; a quarter would be fewer, and is contained. No training patch was asked for.
+    assert rays.unseen_patches.shape == (2, 4, 4) and rays.patches is None
+    assert torch.equal(rays.unseen_patches.flatten(), rays.unseen) and len(rays.targets) == 32
+    for patch in rays.unseen_patches:
+        assert (rays.origins[patch] == rays.origins[patch[0, 0]]).all()
+        directions = rays.directions[patch]
+        across = (directions[:, 1:] - directions[:, :-1]).norm(dim=-1)
+        down = (directions[1:] - directions[:-1]).norm(dim=-1)
+        torch.testing.assert_close(across, across.mean().expand_as(across), rtol=0.2, atol=0)
+        torch.testing.assert_close(down, down.mean().expand_as(down), rtol=0.2, atol=0)
+    more = draw(scene, Needs(patch_size=4, unseen_patches=0.25, unseen_rays=0.5))
+    assert len(more.unseen) == 32 and more.unseen_patches.shape == (1, 4, 4)
+    assert torch.equal(more.unseen_patches.flatten(), more.unseen[:16])
