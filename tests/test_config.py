@@ -69,6 +69,15 @@ def test_plugin_defaults_follow_the_layout(compose, selection: str) -> None:
     assert compose(f"+reg={selection}", "scene.layout=forward", override).reg["distortion"].weight == 0.5
 
 
+def test_presets_may_depend_on_the_layout(compose) -> None:
+    forward = compose("+reg=combinerf_plus", "scene.layout=forward").reg
+    assert (forward["distortion"].weight, forward["unseen_smoothness"].weight) == (1e-3, 0.1)
+    orbit = compose("+reg=combinerf_plus", "scene.layout=orbit").reg
+    assert (orbit["distortion"].weight, orbit["unseen_smoothness"].weight) == (5e-3, 0.0)
+    assert compose("+reg=combinerf_plus", "scene.layout=null").reg == orbit, "the cameras of this scene are on an orbit"
+    assert compose("+reg=combinerf_plus", "scene.layout=orbit", "reg.occlusion.weight=1").reg["occlusion"].weight == 1.0
+
+
 def test_layout_that_nobody_names_is_asked_of_the_cameras(compose) -> None:
     # without scene.layout the procedural scene is an orbit
     assert compose("+reg=distortion", "scene.layout=null").reg["distortion"].weight == 2e-3

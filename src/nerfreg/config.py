@@ -72,6 +72,7 @@ def register() -> list[PluginInfo]:
     from nerfreg.scenes import SCENES
 
     OmegaConf.register_new_resolver("run_name", run_name, replace=True)
+    OmegaConf.register_new_resolver("by_layout", _by_layout, replace=True)
     store = ConfigStore.instance()
     store.store(name="schema", node=Config)
     for name in SCENES:
@@ -80,6 +81,11 @@ def register() -> list[PluginInfo]:
     Plugins.instance().register(_SearchPath)
     _SearchPath.plugins = plugins
     return plugins
+
+
+def _by_layout(forward: Any, orbit: Any, *, _root_: DictConfig) -> Any:
+    """`${by_layout:FORWARD,ORBIT}` in a preset: what depends on how the cameras stand. FORWARD while nobody knows."""
+    return orbit if OmegaConf.select(_root_, "scene.layout", default=None) == "orbit" else forward
 
 
 def scene_schema(name: str) -> Any:
