@@ -12,7 +12,9 @@ from nerfreg.field.fit import fitted
 from nerfreg.scenes import Scene
 from nerfreg.scenes.cameras import Cameras
 
-PAPER = FieldConfig(levels=8, base=16, finest=2048, log2_entries=19)  # each level has twice the cells of the one before
+PAPER = FieldConfig(
+    levels=8, base=16, finest=2048, log2_entries=19, fit=True
+)  # each level has twice the cells of the one before
 
 
 def a_scene(near: float = 2.0, focal: float = 100.0, size: int = 64) -> Scene:
@@ -55,6 +57,6 @@ def test_a_level_has_no_more_entries_than_there_are_training_pixels() -> None:
     assert fitted(PAPER, a_scene(size=1)).log2_entries == 3
 
 
-def test_the_papers_setting_is_one_switch_away() -> None:
+def test_nothing_goes_unless_asked_for() -> None:
     whole = replace(PAPER, fit=False)
     assert fitted(whole, a_scene()) == whole

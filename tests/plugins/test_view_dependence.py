@@ -28,7 +28,9 @@ def test_degrees_are_those_of_the_harmonics():
 def test_only_the_first_colour_layer_is_damped():
     hooks = Hooks({"view_dependence": ViewDependence()})
     made = {
-        (network, index): hooks.layer(network, index, 31, 8, "relu") for network in ("density", "color") for index in (0, 1)
+        (network, index): hooks.layer(network, index, 31, 8, "relu")
+        for network in ("density", "color")
+        for index in (0, 1)
     }
     assert [key for key, layer in made.items() if isinstance(layer, Damped)] == [("color", 0)]
 

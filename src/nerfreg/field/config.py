@@ -30,7 +30,7 @@ class FieldConfig:
     base: int = 16
     finest: int = 1024
     log2_entries: int = 17
-    fit: bool = True
+    fit: bool = False
     hidden: int = 64
     geometry: int = 15
     density_layers: int = 2

@@ -11,7 +11,7 @@ from nerfreg.scenes.scene import Scene
 
 
 def fitted(config: FieldConfig, scene: Scene) -> FieldConfig:
-    """The configuration without levels and table entries that no training pixel can tell apart; `fit=False` keeps all.
+    """The configuration without levels and table entries that no training pixel can tell apart, if `fit` is set.
 
     Levels whose cells are smaller than a pixel of the sharpest training view is at the nearest point of the scene go.
     A pixel shows one place on a surface, so a level gets no more table entries than there are training pixels.
