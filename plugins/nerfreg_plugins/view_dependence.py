@@ -1,5 +1,5 @@
-"""Colour changes slowly with the viewing direction. Our own; NeRF++ (Zhang et al. 2020), section 3, says why it helps: a
-colour network that is free to follow directions can hide a wrong shape from the few that were photographed."""
+"""Colour changes slowly with the viewing direction. Our own. NeRF++ (Zhang et al. 2020), section 3, says why it helps:
+a colour network that is free to follow directions can hide a wrong shape from the few that were photographed."""
 
 from __future__ import annotations
 
