@@ -45,7 +45,7 @@ class UnseenSmoothness(Regularizer):
     training rays.
     """
 
-    weight: float = 0.1
+    weight: float = 0.03
     patch_size: int = 8
     share: float = 0.125
 
