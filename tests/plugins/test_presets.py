@@ -15,7 +15,7 @@ from hydra.core.global_hydra import GlobalHydra
 from hydra.errors import HydraException
 from omegaconf import OmegaConf
 
-from nerfreg.config import plugin_schema
+from nerfreg.config import plugin_schema, register
 from nerfreg.errors import NerfregError
 from nerfreg.hooks import Regularizer
 
@@ -31,6 +31,8 @@ CLASSES = {
     "kl": "KLDivergence",
     "lipschitz": "Lipschitz",
     "occlusion": "Occlusion",
+    "unseen_smoothness": "UnseenSmoothness",
+    "view_dependence": "ViewDependence",
 }
 FIRST = {"distortion", "full_geometry"}
 GEOMETRY = FIRST | {"depth_smoothness"}
@@ -41,6 +43,7 @@ PRESETS = {
     "combinerf_dagger": COMBINERF,
     "combinerf_sharp": COMBINERF,
     "combinerf_program": COMBINERF,
+    "combinerf_plus": {"distortion", "occlusion", "unseen_smoothness", "view_dependence"},
     "ablation_lip": {"lipschitz"},
     "ablation_dist_fg": FIRST,
     "ablation_dist_fg_patch4": FIRST,
@@ -60,6 +63,7 @@ class Stub:
 
 
 def composed(*overrides: str) -> dict[str, Regularizer]:
+    register()
     store = ConfigStore.instance()
     before = store.repo.pop("reg", {})
     try:

@@ -214,7 +214,7 @@ class SwappedBounds(Regularizer):
 def test_near_beyond_far(subject):
     report = check_plugin(subject(SwappedBounds), grid("fog", "near_is_far"))
     assert {(failure.spot.case, failure.check) for failure in report.failures} == {("fog", "contract")}
-    assert report.failures[0].message.startswith("at 0 of the run: near > far on 18 of 18 rays")
+    assert report.failures[0].message.startswith("at 0 of the run: near > far on 20 of 20 rays")
 
 
 @dataclass
