@@ -19,7 +19,7 @@ from nerfreg.errors import NerfregError, NonFiniteError
 from nerfreg.evaluation.config import EvalConfig, subset_of
 from nerfreg.evaluation.images import depth_image, save_png, side_by_side
 from nerfreg.evaluation.lpips import load_lpips
-from nerfreg.evaluation.outputs import METRICS, RESULTS, append_metrics, write_results
+from nerfreg.evaluation.outputs import METRICS, RENDERS, RESULTS, append_metrics, write_results
 from nerfreg.evaluation.paths import orbit_path, spiral_path
 from nerfreg.evaluation.scores import Scores, photograph, score_views
 from nerfreg.evaluation.video import write_video
@@ -39,7 +39,6 @@ from nerfreg.training.memory import keep_large_blocks, peak_memory_mb
 from nerfreg.training.progress import Progress
 from nerfreg.training.trainer import Trainer
 
-RENDERS = "renders"
 PACKAGES = ("nerfreg", "torch", "numpy", "numba", "hydra-core", "pluggy")
 
 

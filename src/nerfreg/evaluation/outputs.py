@@ -1,4 +1,4 @@
-"""The numbers a run leaves behind: `metrics.jsonl`, one line per evaluation, and `results.json`, the last of them.
+"""What a run leaves behind: `metrics.jsonl`, one line per evaluation, and `results.json`, the last of them.
 
 Both are strict JSON. What is unknown (None) and what is not finite (nan, inf) are written as null.
 """
@@ -16,6 +16,10 @@ from nerfreg.evaluation.files import atomic
 
 METRICS = "metrics.jsonl"
 RESULTS = "results.json"
+RENDERS = "renders"
+"""Folder of the pictures of test views."""
+FAILED = "failed.json"
+"""Why a job of a sweep has no results."""
 
 
 def append_metrics(folder: Path, record: Mapping[str, Any]) -> None:

@@ -15,16 +15,15 @@ from typing import Any
 import yaml
 
 from nerfreg.errors import NerfregError
-from nerfreg.evaluation.outputs import METRICS, RESULTS
+from nerfreg.evaluation.outputs import FAILED, METRICS, RENDERS, RESULTS
 from nerfreg.reports.methods import distinguished, method_of, scenes_distinguished
 from nerfreg.reports.records import Evaluation, RunRecord
 
 CONFIG, OVERRIDES = Path(".hydra", "config.yaml"), Path(".hydra", "overrides.yaml")
-FAILED = "failed.json"
 OTHER_VERBS = ("cameras.png",)
 """What is found in a folder with a configuration that `nerfreg train` did not make."""
 LONGEST_REASON = 300
-CONTENTS = ("renders", "checkpoint", "nonfinite")
+CONTENTS = (RENDERS, "checkpoint", "nonfinite")
 
 
 def collect(places: Sequence[Path]) -> list[RunRecord]:

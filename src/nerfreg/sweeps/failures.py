@@ -9,8 +9,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from nerfreg.evaluation.files import atomic
-
-FAILED = "failed.json"
+from nerfreg.evaluation.outputs import FAILED
 
 
 def write_failure(folder: Path, error: BaseException, overrides: Sequence[str]) -> None:

@@ -14,13 +14,12 @@ from omegaconf import DictConfig, OmegaConf
 from yaml import YAMLError
 
 from nerfreg.errors import NerfregError
-from nerfreg.evaluation.outputs import METRICS
+from nerfreg.evaluation.outputs import FAILED, METRICS, RENDERS
 from nerfreg.naming import digest, overrides_name, study_name
 from nerfreg.recording import FOLDER as RECORDED_STEPS
-from nerfreg.sweeps.failures import FAILED
 from nerfreg.training.checkpoint import FOLDER as CHECKPOINT
 
-LEFT_OVER = (FAILED, METRICS, CHECKPOINT, RECORDED_STEPS, "renders")
+LEFT_OVER = (FAILED, METRICS, CHECKPOINT, RECORDED_STEPS, RENDERS)
 WITHOUT_EFFECT = (("name",), ("train", "quiet"))
 """Keys in which configurations may differ and yet be the same."""
 
