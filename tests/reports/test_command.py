@@ -32,6 +32,16 @@ def test_a_report(
     assert Path("out/report.html").is_file()
 
 
+def test_views_that_no_run_has_leave_no_half_of_a_report(
+    write_run: Callable[..., Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    write_run("runs/0", evaluations=((10.0, 15.0),))
+    assert main(["report", "runs", "-o", "out", "--views", "nowhere"]) == 2
+    assert "--views nowhere: no run has a picture of it" in capsys.readouterr().err
+    assert not [path for path in Path("out").rglob("*") if path.is_file()]
+
+
 @pytest.mark.parametrize(
     ("words", "options"),
     [

@@ -52,9 +52,9 @@ def run(words: Sequence[str]) -> int:
     records, notes = without_repetitions(collect(options.runs))
     compared = comparisons(records, paper, options.psnr, notes)
     tables = [*compared, *cost_tables(records)]
-    paths = write_tables(records, tables, options.folder)
-    paths += figures.draw(records, options.folder)
-    paths.append(page.write(records, tables, options.folder, options.pictures))
+    # First, because it refuses views that nobody has: then nothing is written.
+    html = page.write(records, tables, options.folder, options.pictures)
+    paths = [*write_tables(records, tables, options.folder), *figures.draw(records, options.folder), html]
     over_scenes = [table for table in compared if table.setting is None]
     for table in over_scenes or compared:
         print_table(table)
