@@ -50,6 +50,7 @@ def test_options() -> None:
         (["--tolerance", "0"], "--tolerance 0: must be a positive number"),
         ([], "nothing is selected that could be left out; add +reg="),
         (["+reg=vanilla"], "nothing is selected that could be left out"),
+        (["+reg=kl", "reg.kl.weight=0"], "nothing is selected that could be left out"),
         (["+reg=kll"], "unknown plugin or preset 'kll'"),
         (["+reg=kl", "scene.held_out=[1]"], "scene.held_out=[1]: prune chooses itself"),
         (["+reg=kl", "scene.views=1"], "the scene has 1 training view"),

@@ -137,11 +137,11 @@ READERS: dict[str, tuple[str, str, Callable[[str, str], Any]]] = {
 
 
 def _configuration(options: PruneOptions) -> tuple[Config, tuple[str, ...]]:
-    """What `nerfreg train` would run, its first training view held out, and what is selected."""
+    """What `nerfreg train` would run, its first training view held out, and what is selected with a weight above 0."""
     if taken := next((word for word in options.overrides if word.lstrip("+").startswith("scene.held_out=")), None):
         raise NerfregError(f"{taken}: prune chooses itself which training views it holds out")
     config = compose((*options.overrides, "scene.held_out=[0]"))
-    full = tuple(str(name) for name in config.reg)
+    full = tuple(str(name) for name, plugin in config.reg.items() if plugin.weight != 0)
     if not full:
         raise NerfregError(
             "nothing is selected that could be left out; add +reg=combinerf or a list, '+reg=[kl,entropy]'"
