@@ -15,7 +15,9 @@ from nerfreg.config import Config
 from nerfreg.errors import NerfregError
 from nerfreg.naming import overrides_name
 from nerfreg.sweeps.folders import BusyError, claimed
+from nerfreg.sweeps.jobs import _fair_threads
 from nerfreg.sweeps.journal import Entry, State
+from nerfreg.sweeps.plan import Plan
 from nerfreg.sweeps.summary import in_numbers
 
 Job = Callable[[Config, Path], None]
@@ -283,3 +285,12 @@ def test_tuning_without_lpips_weights_is_refused(
     monkeypatch.setattr("nerfreg.sweeps.plan.find_lpips_weights", lambda configured: None)
     assert main([*TUNE, HELD_OUT]) == 2
     assert "hydra/sweeper=tune minimizes 'average': LPIPS and average are n/a" in capsys.readouterr().err
+
+
+def test_a_job_has_its_share_whatever_the_job_before_left(monkeypatch: pytest.MonkeyPatch) -> None:
+    # Eight threads for two jobs at a time; the one before, with four, has left torch with two.
+    monkeypatch.setattr("numba.config.NUMBA_NUM_THREADS", 8)
+    monkeypatch.setattr("torch.get_num_threads", lambda: 2)
+    monkeypatch.setattr("os.cpu_count", lambda: 8)
+    assert _fair_threads(Plan(4, (), 2, False)) == 4
+    assert _fair_threads(Plan(4, (), None, False)) == 8

@@ -119,7 +119,7 @@ def _results(folder: Path) -> Mapping[str, Any]:
 def _fair_threads(plan: Plan) -> int:
     """Threads for one of several jobs: its share of this machine, or what the launcher gives its processes."""
     import numba
-    import torch
 
-    given = min(torch.get_num_threads(), numba.config.NUMBA_NUM_THREADS)
+    # Not torch's number: a job before this one in the same process has changed it.
+    given = int(numba.config.NUMBA_NUM_THREADS)
     return given if plan.at_once is None else max(1, min(given, (os.cpu_count() or 1) // plan.at_once))
