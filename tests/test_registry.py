@@ -15,6 +15,8 @@ from nerfreg import Needs, NerfregError, Regularizer, hookimpl, registry
 from nerfreg.field.layers import Linear
 from nerfreg.hooks import Samples
 from nerfreg.registry import Hooks, installed
+from nerfreg.scenes.cameras import Cameras
+from nerfreg.scenes.scene import Photographs
 
 
 @dataclass
@@ -225,6 +227,47 @@ def test_mistakes_of_an_author_are_told(name: str, error: str, monkeypatch: pyte
     assert error in plugin.state
 
 
+@dataclass
+class Depth(Regularizer):
+    """Says that there is something between two distances everywhere, or nothing."""
+
+    first: float = 1.0
+    last: float = 2.0
+    silent: bool = False
+    pixels: int = 2
+
+    @hookimpl
+    def nerfreg_known_depth(self, photographs):
+        return None if self.silent else torch.tensor([self.first, self.last]).expand(3, 4, self.pixels, 2)
+
+
+@pytest.fixture
+def photographs() -> Photographs:
+    cameras = Cameras(2, 4, torch.eye(3, 4).repeat(3, 1, 1), torch.ones(3, 2), torch.ones(3, 2), torch.zeros(3, 5))
+    return Photographs(cameras, torch.rand(3, 4, 2, 3), 0.5, 3.0, "forward")
+
+
+def test_depth_is_told_by_one_plugin(photographs) -> None:
+    assert Hooks().known_depth(photographs) is None
+    assert Hooks({"silent": Depth(silent=True)}).known_depth(photographs) is None
+    assert Hooks({"off": Depth(weight=0.0)}).known_depth(photographs) is None
+    known = Hooks({"silent": Depth(silent=True), "late": Depth(start=0.5)}).known_depth(photographs)
+    assert known.shape == (3, 4, 2, 2) and known[0, 0, 0].tolist() == [1.0, 2.0]
+    with pytest.raises(NerfregError, match="plugins a and b both tell the depth"):
+        Hooks({"a": Depth(), "b": Depth(last=3.0)}).known_depth(photographs)
+
+
+def test_depth_of_a_wrong_kind_is_refused(photographs) -> None:
+    with pytest.raises(
+        NerfregError, match=r"plugin wide, nerfreg_known_depth: has shape \(3, 4, 5, 2\), not \(3, 4, 2, 2\)"
+    ):
+        Hooks({"wide": Depth(pixels=5)}).known_depth(photographs)
+    with pytest.raises(NerfregError, match="plugin turned, nerfreg_known_depth: some intervals end before they begin"):
+        Hooks({"turned": Depth(first=3.0)}).known_depth(photographs)
+    unknown = Hooks({"unknown": Depth(first=float("nan"), last=float("nan"))}).known_depth(photographs)
+    assert unknown.isnan().all()
+
+
 def test_hook_points_and_summary(monkeypatch: pytest.MonkeyPatch) -> None:
     point = EntryPoint("constant", f"{__name__}:Constant", registry.GROUP)
     monkeypatch.setattr(registry, "_entry_points", lambda: [point])
@@ -247,7 +290,7 @@ def test_ours_are_all_installed() -> None:
     ours = {plugin.name: plugin for plugin in installed() if plugin.package == "nerfreg"}
     expected = (
         "adversarial annealing depth_smoothness distortion encoding_mask entropy full_geometry kl lipschitz occlusion",
-        "unseen_smoothness view_dependence",
+        "stereo unseen_smoothness view_dependence",
     )
     assert sorted(ours) == " ".join(expected).split()
     assert {plugin.state for plugin in ours.values()} == {"ok"}

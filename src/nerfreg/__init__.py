@@ -7,9 +7,10 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from nerfreg.errors import NerfregError
     from nerfreg.hooks import Needs, Rays, Regularizer, Rendering, Samples, Step, hookimpl
+    from nerfreg.scenes.scene import Photographs
 
 __version__ = "0.1.0"
-__all__ = ["Needs", "NerfregError", "Rays", "Regularizer", "Rendering", "Samples", "Step", "hookimpl"]
+__all__ = ["Needs", "NerfregError", "Photographs", "Rays", "Regularizer", "Rendering", "Samples", "Step", "hookimpl"]
 
 
 def __getattr__(name: str) -> Any:

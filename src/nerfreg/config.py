@@ -185,20 +185,17 @@ def _refuse_unknown(node: DictConfig, path: str = "") -> None:
             _refuse_unknown(child, f"{path}{key}.")
 
 
-def _selected(node: DictConfig) -> list[type[Regularizer]]:
-    classes = []
+def _refuse_unselected(node: DictConfig) -> None:
     for name in node.reg:
         cls = OmegaConf.get_type(node.reg, str(name))
         if not (cls and issubclass(cls, Regularizer)):
             raise NerfregError(f"reg.{name}: not a selected plugin; select it by +reg={name}")
-        classes.append(cls)
-    return classes
 
 
 def validated(node: DictConfig) -> Config:
     """The composed configuration as dataclasses.
 
-    Where defaults of a selected plugin depend on a layout that nobody has named, the cameras are asked.
+    Where nobody has named the layout that defaults may depend on, the cameras are asked.
     Raises NerfregError where a part is not what its schema says.
     """
     from nerfreg.scenes import SCENES, SceneConfig, load_scene
@@ -207,8 +204,8 @@ def validated(node: DictConfig) -> Config:
     scene = OmegaConf.to_object(node.scene) if OmegaConf.is_config(node.scene) else None
     if not isinstance(scene, SceneConfig) or node.scene.format not in SCENES:
         raise NerfregError("scene: has no schema; begin the file's defaults list with e.g. `- llff_schema`")
-    selected = _selected(node)
-    if scene.layout is None and any(cls.by_layout for cls in selected):
+    _refuse_unselected(node)
+    if scene.layout is None:
         node = deepcopy(node)
         node.scene.layout = load_scene(scene).layout
     config = OmegaConf.to_object(node)

@@ -27,6 +27,7 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from nerfreg.numerics import MIN_OPACITY, log_alpha
+from nerfreg.scenes.scene import Photographs
 
 if TYPE_CHECKING:
     from torch import nn
@@ -84,6 +85,8 @@ class Rays:
     unseen: (U,) ray indices from unseen poses. unseen_patches: (Q, S, S) those of them that form patches,
         or None.
     groups: (R,) rays with the same number share their t; None if no rays do.
+    known_depth: (S, 2) between which distances along the ray a plugin knew before training that there is something;
+        NaN where it did not, None if nobody knew anything.
     target_weights: (S,) what each target counts in the colour error, 1 on average; a patch counts as much as one random
         pixel, since its pixels say nearly the same. None where all are equal.
     """
@@ -100,6 +103,7 @@ class Rays:
     unseen_patches: Int[Tensor, "unseen_patches width width"] | None = None
     groups: Int[Tensor, " rays"] | None = None
     target_weights: Float[Tensor, " supervised"] | None = None
+    known_depth: Float[Tensor, "supervised 2"] | None = None
 
     def __len__(self) -> int:
         return len(self.origins)
@@ -234,6 +238,14 @@ class HookSpecs:
         Returns a module from (points, in_features) to (points, out_features). An `AffineLayer` tells its effective
         weight and bias and runs in the fused kernels; any other module runs through autograd.
         The core makes a plain linear layer without bias.
+        """
+
+    @hookspec
+    def nerfreg_known_depth(self, photographs: Photographs) -> Float[Tensor, "views height width 2"] | None:
+        """Between which distances along the rays of training pixels there is something; NaN where that is not known.
+
+        Called once, before the first step; the time it takes is training time. Found in the photographs, or read from
+        elsewhere. It comes back with the rays of every step, as `rays.known_depth`. One plugin of a run may answer.
         """
 
     @hookspec

@@ -16,11 +16,13 @@ from pathlib import Path
 from typing import Any
 
 import pluggy
+from jaxtyping import Float
 from torch import Tensor, nn
 
 from nerfreg.errors import NerfregError
 from nerfreg.hooks import PROJECT, HookSpecs, Needs, Rays, Regularizer, Rendering, Samples, Step, hookimpl
 from nerfreg.nearest import nearest
+from nerfreg.scenes.scene import Photographs
 
 GROUP = "nerfreg.plugins"
 HOOKS = tuple(name for name in vars(HookSpecs) if name.startswith("nerfreg_"))
@@ -187,6 +189,27 @@ class Hooks:
             network=network, index=index, in_features=in_features, out_features=out_features, activation=activation
         )
         return layer
+
+    def known_depth(self, photographs: Photographs) -> Float[Tensor, "views height width 2"] | None:
+        """What a selected plugin knows of depth before training, whatever its window.
+
+        Raises NerfregError if two plugins know something, and for what is no interval for each pixel.
+        """
+        known: dict[str, Tensor] = {}
+        for name in self._users["nerfreg_known_depth"]:
+            for depth in self._manager((name,)).hook.nerfreg_known_depth(photographs=photographs):
+                known[name] = depth
+        if len(known) > 1:
+            raise NerfregError(
+                f"plugins {' and '.join(known)} both tell the depth of the photographs; drop one of them"
+            )
+        for name, depth in known.items():
+            shape = (*photographs.images.shape[:3], 2)
+            if tuple(depth.shape) != shape:
+                raise NerfregError(f"plugin {name}, nerfreg_known_depth: has shape {tuple(depth.shape)}, not {shape}")
+            if bool((depth[..., 0] > depth[..., 1]).any()):
+                raise NerfregError(f"plugin {name}, nerfreg_known_depth: some intervals end before they begin")
+        return next(iter(known.values()), None)
 
     def ray_bounds(self, rays: Rays, step: Step) -> tuple[Tensor, Tensor]:
         """Near and far of each ray, (R,) each."""

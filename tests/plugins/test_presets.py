@@ -31,6 +31,7 @@ CLASSES = {
     "kl": "KLDivergence",
     "lipschitz": "Lipschitz",
     "occlusion": "Occlusion",
+    "stereo": "Stereo",
     "unseen_smoothness": "UnseenSmoothness",
     "view_dependence": "ViewDependence",
 }
@@ -43,7 +44,7 @@ PRESETS = {
     "combinerf_dagger": COMBINERF,
     "combinerf_sharp": COMBINERF,
     "combinerf_program": COMBINERF,
-    "combinerf_plus": {"distortion", "occlusion", "unseen_smoothness", "view_dependence"},
+    "combinerf_plus": {"distortion", "occlusion", "unseen_smoothness", "view_dependence", "stereo"},
     "ablation_lip": {"lipschitz"},
     "ablation_dist_fg": FIRST,
     "ablation_dist_fg_patch4": FIRST,

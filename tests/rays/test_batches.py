@@ -52,6 +52,20 @@ def test_targets_are_the_pixels_of_the_photographs(forward: Scene) -> None:
         assert torch.equal(target, forward.read_image(view)[pixel[1], pixel[0]])
 
 
+def test_known_depth_belongs_to_the_pixel(forward: Scene) -> None:
+    # A map that says where it is: view, and row and column.
+    batches = RayBatches(forward, 64, torch.device("cpu"), torch.Generator().manual_seed(0))
+    assert batches.draw(Needs()).known_depth is None
+    view, row, column = torch.meshgrid(torch.arange(3.0), torch.arange(32.0), torch.arange(32.0), indexing="ij")
+    batches.known_depth = torch.stack([100 * view + row, column], dim=-1)
+    rays = batches.draw(Needs(patch_size=4, patch_fraction=0.5, neighbors="extra", unseen_rays=0.25))
+    assert rays.known_depth is not None and rays.known_depth.shape == (48, 2)
+    views, pixels = pixels_of(forward, rays)
+    position = torch.tensor([forward.train.index(int(view)) for view in views])
+    for known, place, pixel in zip(rays.known_depth, position, pixels.floor(), strict=False):
+        assert known.tolist() == [100 * place + pixel[1], pixel[0]]
+
+
 def test_alpha_is_put_on_the_background_of_the_ray(orbit: Scene) -> None:
     rays = draw(orbit, Needs())
     assert rays.background is not None

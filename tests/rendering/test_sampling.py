@@ -19,6 +19,11 @@ def test_disparity_is_even_in_the_reciprocal() -> None:
     torch.testing.assert_close(t, torch.tensor([[16 / 13, 16 / 7]]))
 
 
+def test_disparity_of_rays_that_begin_at_the_camera() -> None:
+    t = stratified(torch.zeros(1), torch.tensor([4.0]), 4, "disparity")
+    assert torch.isfinite(t).all() and (t.diff() > 0).all() and t.min() > 0 and t.max() < 4
+
+
 @pytest.mark.parametrize("spacing", ["linear", "disparity"])
 def test_each_stratum_gets_one_sample(spacing: str) -> None:
     generator = torch.Generator().manual_seed(0)

@@ -3,6 +3,7 @@ from __future__ import annotations
 import pytest
 import torch
 
+from nerfreg.scenes import Procedural
 from nerfreg.scenes.cameras import Cameras
 from nerfreg.scenes.lens import distort, invertible, undistort
 
@@ -67,3 +68,22 @@ def test_a_lens_that_folds_is_found():
     assert invertible(torch.tensor([[0.3, 0.0]]), fold, 1e-4)
     assert not invertible(torch.tensor([[0.5, 0.0]]), fold, 1e-4)
     assert undistort(torch.tensor([[0.5, 0.0]]), fold).isfinite().all()
+
+
+def test_some_of_the_views() -> None:
+    scene = Procedural(size=16, views=3, test_views=2).load()
+    some = scene.cameras.of([2, 0])
+    assert len(some) == 2 and (some.width, some.height) == (16, 16)
+    assert torch.equal(some.poses[1], scene.cameras.poses[0])
+    point = scene.box.mean(0, keepdim=True)
+    assert torch.equal(some.project(point, 0), scene.cameras.project(point, 2))
+
+
+def test_photographs_are_those_of_the_training_views() -> None:
+    scene = Procedural(size=16, views=3, test_views=2).load()
+    photographs = scene.photographs()
+    assert photographs.images.shape == (3, 16, 16, 4) and len(photographs.cameras) == 3
+    for index, view in enumerate(scene.train):
+        assert torch.equal(photographs.images[index], scene.read_image(view))
+        assert torch.equal(photographs.cameras.poses[index], scene.cameras.poses[view])
+    assert (photographs.near, photographs.far, photographs.layout) == (scene.near, scene.far, "orbit")

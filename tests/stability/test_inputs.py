@@ -20,6 +20,7 @@ def batch() -> Inputs:
         neighbors=torch.tensor([[0, 1], [2, 3], [0, 2]]),
         unseen=torch.tensor([4]),
         unseen_patches=torch.tensor([[[4]]]),
+        known_depth=torch.stack([number, number + 1], dim=1)[:4],
     )
     edges = torch.stack([number, number + 1], dim=1)
     return Inputs(rays, number[:, None], number[:, None, None].expand(5, 1, 3), edges, torch.zeros(5, 1, 4), (0.0, 6.0))
@@ -33,6 +34,7 @@ def assert_consistent(inputs: Inputs, copies: int) -> None:
         assert torch.equal(values[:, 0], number)
     assert torch.equal(rays.far, number + 1)
     assert torch.equal(rays.targets[:, 0], number[: len(rays.targets)])
+    assert torch.equal(rays.known_depth[:, 1], number[: len(rays.targets)] + 1)
     assert torch.equal(number[rays.patches], torch.tensor([[[0.0, 1.0], [2.0, 3.0]]]).repeat(copies, 1, 1))
     assert torch.equal(number[rays.neighbors], torch.tensor([[0.0, 1.0], [2.0, 3.0], [0.0, 2.0]]).repeat(copies, 1))
     assert torch.equal(number[rays.unseen], torch.full((copies,), 4.0))
@@ -59,6 +61,7 @@ def test_scaled_keeps_optical_thickness():
     assert torch.equal(scaled.density * scaled.t_edges.diff(), batch().density * batch().t_edges.diff())
     assert scaled.bounds == (0.0, 24.0)
     assert scaled.rays.far.tolist() == [4, 8, 12, 16, 20]
+    assert scaled.rays.known_depth[:, 1].tolist() == [4, 8, 12, 16]
     assert torch.equal(scaled.rays.directions, batch().rays.directions)
     assert torch.equal(scaled.rays.targets, batch().rays.targets)
 

@@ -33,6 +33,14 @@ def test_seconds_count_only_what_is_spent() -> None:
     assert budget.total == round(100 / spent)
 
 
+def test_preparation_takes_time_and_no_step() -> None:
+    budget = Budget(TrainConfig(steps=4, seconds=100.0))
+    with budget.prepare():
+        time.sleep(0.02)
+    assert budget.step == 0 and budget.seconds >= 0.02
+    assert budget.fraction == pytest.approx(budget.seconds / 100)
+
+
 def test_whichever_comes_first() -> None:
     budget = Budget(TrainConfig(steps=10, seconds=20.0))
     budget.step, budget.seconds = 5, 15.0

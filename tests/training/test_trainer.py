@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 
 import pytest
 import torch
 
+from nerfreg.errors import NerfregError
 from nerfreg.field.network import Network
 from nerfreg.hooks import Rendering
+from nerfreg.registry import Hooks
+from nerfreg.scenes.scene import Photographs
 from nerfreg.training.loss import color_error
 from nerfreg.training.trainer import Trainer
 
@@ -24,7 +28,7 @@ def test_the_error_falls(make: Callable[..., Trainer]) -> None:
 
 def test_every_preset_and_plugin_trains(make: Callable[..., Trainer]) -> None:
     # the whole of CombiNeRF, and the rest of the plugins together
-    for reg in ("combinerf", "[entropy,adversarial,annealing,occlusion]"):
+    for reg in ("combinerf", "[entropy,adversarial,annealing,occlusion]", "[combinerf_plus,unseen_smoothness]"):
         trainer = make(f"+reg={reg}")
         before = [p.detach().clone() for p in trainer.field.parameters()]
         for _ in range(6):
@@ -80,3 +84,23 @@ def test_the_color_error_by_hand(rendering: Callable[..., Rendering]) -> None:
     assert color_error(made).item() == pytest.approx(1.34 / 6)
     made.rays.target_weights = torch.tensor([0.5, 1.5])
     assert color_error(made).item() == pytest.approx((0.5 * 1.25 + 1.5 * 0.09) / 6)
+
+
+def test_a_budget_spent_on_preparation_is_refused(
+    make: Callable[..., Trainer], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def dawdle(hooks: Hooks, photographs: Photographs) -> None:
+        time.sleep(0.02)
+
+    monkeypatch.setattr(Hooks, "known_depth", dawdle)
+    with pytest.raises(NerfregError, match=r"train.seconds=0.01: was spent before the first step"):
+        make("train.steps=null", "train.seconds=0.01")
+    trainer = make("train.steps=null", "train.seconds=10")
+    assert trainer.budget.seconds >= 0.02 and trainer.budget.step == 0
+
+
+def test_what_is_known_of_depth_comes_with_the_rays(make: Callable[..., Trainer]) -> None:
+    trainer = make("+reg=stereo")
+    known = trainer.batches.known_depth
+    assert known is not None and known.shape == (*trainer.batches.photographs.images.shape[:3], 2)
+    assert "stereo" in [term.name for term in trainer.step()]

@@ -21,6 +21,8 @@ class RayBatches:
 
     Random pixels are drawn among those whose rays meet the scene's box; the others could teach nothing. Photographs
     with alpha are put on a random background in every ray, so that emptiness cannot be painted.
+
+    known_depth: what a plugin knows of each training pixel, or None.
     """
 
     def __init__(self, scene: Scene, count: int, device: torch.device, generator: torch.Generator) -> None:
@@ -29,7 +31,8 @@ class RayBatches:
         self.device = device
         self.generator = generator
         self.views = torch.tensor(scene.train)
-        self.images = torch.stack([scene.read_image(view) for view in scene.train])
+        self.photographs = scene.photographs()
+        self.known_depth: Float[Tensor, "views height width 2"] | None = None
         self.pixels = self._useful_pixels()
 
     def draw(self, needs: Needs) -> Rays:
@@ -86,6 +89,7 @@ class RayBatches:
                 unseen=unseen,
                 unseen_patches=None if unseen is None or not unseen_patches else _squares(unseen, unseen_patches, side),
                 groups=torch.cat(groups) if neighbors else None,
+                known_depth=self.known_depth[image, pixel[:, 1], pixel[:, 0]] if self.known_depth is not None else None,
             )
         )
 
@@ -130,7 +134,7 @@ class RayBatches:
         self, image: Tensor, pixel: Tensor, rays: int
     ) -> tuple[Float[Tensor, "supervised 3"], Float[Tensor, "rays 3"] | None]:
         """Colours of pixels and, where there is alpha, the random background of each ray that they are put on."""
-        colors = self.images[image, pixel[:, 1], pixel[:, 0]]
+        colors = self.photographs.images[image, pixel[:, 1], pixel[:, 0]]
         if not self.scene.has_alpha:
             return colors, None
         background = torch.rand(rays, 3, generator=self.generator)

@@ -9,6 +9,9 @@ from torch import Tensor
 PDF_FLOOR = 1e-5
 """Added to every weight, so that no part of a ray is never looked at."""
 
+NEAREST = 1e-3
+"""A ray that is sampled evenly in disparity begins at this share of its far end, where it would begin at 0."""
+
 
 def stratified(
     near: Float[Tensor, " rays"],
@@ -24,7 +27,7 @@ def stratified(
     offsets = _offsets((len(near), count), near, generator)
     u = (torch.arange(count, dtype=near.dtype, device=near.device) + offsets) / count
     if spacing == "disparity":
-        return 1 / torch.lerp(1 / near[:, None], 1 / far[:, None], u)
+        return 1 / torch.lerp(1 / torch.maximum(near, NEAREST * far)[:, None], 1 / far[:, None], u)
     return torch.lerp(near[:, None], far[:, None], u)
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import torch
@@ -30,6 +32,12 @@ class Cameras:
 
     def __len__(self) -> int:
         return len(self.poses)
+
+    def of(self, views: Sequence[int]) -> Cameras:
+        """Some of the views, numbered from 0 in the order given."""
+        index = list(views)
+        parts = {name: getattr(self, name)[index] for name in ("poses", "focal", "center", "distortion")}
+        return dataclasses.replace(self, **parts)
 
     @property
     def positions(self) -> Float[Tensor, "views 3"]:

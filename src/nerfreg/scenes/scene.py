@@ -5,10 +5,26 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
+import torch
 from jaxtyping import Float
 from torch import Tensor
 
 from nerfreg.scenes.cameras import Cameras
+
+
+@dataclass(frozen=True)
+class Photographs:
+    """What training may look at, and nothing of the test views: V views, numbered from 0.
+
+    images: (V, H, W, C) in [0, 1], C = 3, or 4 with straight alpha. near, far: bounds of every ray, world units.
+    layout: how the cameras stand, "orbit" (around an object) or "forward" (side by side).
+    """
+
+    cameras: Cameras
+    images: Float[Tensor, "views height width channels"]
+    near: float
+    far: float
+    layout: str
 
 
 @dataclass(frozen=True)
@@ -36,3 +52,8 @@ class Scene:
     background: Float[Tensor, " 3"] | None
     read_depth: Callable[[int], Float[Tensor, "height width"]] | None = None
     labels: tuple[str, ...] = ()
+
+    def photographs(self) -> Photographs:
+        """Read the training views."""
+        images = torch.stack([self.read_image(view) for view in self.train])
+        return Photographs(self.cameras.of(self.train), images, self.near, self.far, self.layout)

@@ -184,6 +184,7 @@ class Case:
             ),
             unseen=index[supervised:],
             unseen_patches=index[supervised:].view(1, 2, 2),
+            known_depth=_known_depth(edges, index[:supervised]),
         )
         return Inputs(
             rays=rays,
@@ -193,6 +194,13 @@ class Case:
             features=torch.randn(count, samples, 4, generator=chance).double(),
             bounds=(near, far),
         )
+
+
+def _known_depth(edges: Float[Tensor, " edges"], index: Int[Tensor, " rays"]) -> Float[Tensor, "rays 2"]:
+    """Of every first ray of three nothing, of every second a part of it, of every third something behind its end."""
+    part = torch.lerp(edges[0], edges[-1], torch.tensor([0.3, 0.35]).double())
+    choices = torch.stack([torch.full_like(part, torch.nan), part, part + edges[-1]])
+    return choices[index % 3]
 
 
 LARGE = (*SIZES, MANY)

@@ -55,6 +55,7 @@ class Inputs:
             origins=self.rays.origins * factor,
             near=self.rays.near * factor,
             far=self.rays.far * factor,
+            known_depth=None if self.rays.known_depth is None else self.rays.known_depth * factor,
         )
         near, far = self.bounds
         bounds = near * factor, far * factor
@@ -102,6 +103,7 @@ def _indexed(
         neighbors=moved(rays.neighbors),
         unseen=moved(rays.unseen),
         unseen_patches=moved(rays.unseen_patches),
+        known_depth=None if rays.known_depth is None else rays.known_depth[order[:supervised]],
     )
     pick = partial(torch.index_select, dim=0, index=order)
     return Inputs(

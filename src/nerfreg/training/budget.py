@@ -13,7 +13,7 @@ from nerfreg.training.config import TrainConfig
 class Budget:
     """Steps and seconds spent; the run ends when either is used up.
 
-    Only what happens inside `spend` counts, so that evaluation and compilation cost nothing.
+    Only what happens inside `spend` and `prepare` counts, so that evaluation and compilation cost nothing.
     """
 
     def __init__(self, config: TrainConfig) -> None:
@@ -46,7 +46,13 @@ class Budget:
     @contextmanager
     def spend(self) -> Iterator[None]:
         """Count one step and the time it takes."""
+        with self.prepare():
+            yield
+        self.step += 1
+
+    @contextmanager
+    def prepare(self) -> Iterator[None]:
+        """Count the time it takes, and no step."""
         start = time.perf_counter()
         yield
         self.seconds += time.perf_counter() - start
-        self.step += 1

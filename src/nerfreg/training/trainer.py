@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import torch
 
+from nerfreg.errors import NerfregError
 from nerfreg.field import FieldConfig, RadianceField
 from nerfreg.hooks import Step
 from nerfreg.rays import RayBatches
@@ -53,6 +54,13 @@ class Trainer:
         self.budget = Budget(train)
         self.guard = guard or Guard()
         self.warm_up()
+        with self.budget.prepare():
+            self.batches.known_depth = hooks.known_depth(self.batches.photographs)
+        if self.budget.fraction >= 1:
+            raise NerfregError(
+                f"train.seconds={train.seconds:g}: was spent before the first step, "
+                f"on {self.budget.seconds:.0f} s of what the plugins do beforehand; give more"
+            )
 
     def warm_up(self) -> None:
         """Compile what a step runs, so that no step has to wait for it."""

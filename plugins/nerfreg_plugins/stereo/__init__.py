@@ -1,0 +1,88 @@
+"""Depth that the photographs agree on, without any learned prior. Source: depth supervision of the weights along a ray,
+DS-NeRF (Deng et al. 2022); plane-sweep stereo instead of sparse points, and doubt, are ours."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import mpmath
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from nerfreg import Photographs, Regularizer, Rendering, hookimpl
+from nerfreg.numerics import double, exact, single
+from nerfreg_plugins.stereo.plane_sweep import plane_sweep
+
+
+def missed_depth(
+    weights: Float[Tensor, "rays samples"],
+    t_edges: Float[Tensor, "rays edges"],
+    known_depth: Float[Tensor, "rays 2"],
+    doubt: float,
+) -> Float[Tensor, ""]:
+    """log((1 + doubt) / (m + doubt)), m the weights where something is known to be; mean over rays.
+
+    weights: (R, N). t_edges: (R, N+1). known_depth: (R, 2), between which distances. m sums the intervals that reach
+    into them. Rays of which nothing is known (NaN), or no interval of which reaches there, give 0. With more doubt it
+    costs less to be elsewhere: what is known may be wrong.
+    """
+    weights, edges, (first, last) = single(weights), double(t_edges), double(known_depth)[:, :, None].unbind(1)
+    close = (edges[:, 1:] >= first) & (edges[:, :-1] <= last)
+    mass = (weights * close).sum(-1).clamp(max=1.0)
+    missed = torch.log1p((1 - mass) / (mass + doubt))
+    return torch.where(close.any(-1), missed, 0.0).sum() / max(len(weights), 1)
+
+
+@dataclass
+class Stereo(Regularizer):
+    """Weights lie where the photographs agree that something is: plane-sweep stereo, once before the first step.
+
+    doubt: how likely it is that a depth is wrong.
+    width, planes, window, sources: of the search, see `plane_sweep`.
+    """
+
+    weight: float = 0.01
+    doubt: float = 0.1
+    width: int = 512
+    planes: int = 128
+    window: int = 7
+    sources: int = 4
+
+    # Around an object cameras are further apart: more planes to search, and windows that look less alike.
+    by_layout: ClassVar[dict[str, dict[str, Any]]] = {"orbit": {"width": 256}}
+    cite: ClassVar[str] = """@inproceedings{deng2022dsnerf,
+  title = {Depth-supervised {NeRF}: Fewer Views and Faster Training for Free},
+  author = {Deng, Kangle and Liu, Andrew and Zhu, Jun-Yan and Ramanan, Deva},
+  booktitle = {CVPR},
+  year = {2022}
+}"""
+
+    @hookimpl
+    def nerfreg_known_depth(self, photographs: Photographs) -> Float[Tensor, "views height width 2"]:
+        return plane_sweep(photographs, self.width, self.planes, self.window, self.sources)
+
+    @hookimpl
+    def nerfreg_loss(self, rendering: Rendering) -> dict[str, Float[Tensor, ""]]:
+        known = rendering.rays.known_depth
+        if known is None:
+            return {}
+        weights, edges = rendering.weights[: len(known)], rendering.t_edges[: len(known)]
+        return {"stereo": missed_depth(weights, edges, known, self.doubt)}
+
+    @property
+    def scale_free(self) -> bool:
+        return True
+
+    @hookimpl
+    def nerfreg_reference(self, given: Any) -> dict[str, Any] | None:
+        if not isinstance(given, Rendering) or given.rays.known_depth is None:
+            return None
+        weights, edges, doubt = exact(given.weights), exact(given.t_edges), mpmath.mpf(self.doubt)
+        losses = []
+        for ray, (first, last) in enumerate(given.rays.known_depth.tolist()):
+            near = [edges[ray][i + 1] >= first and edges[ray][i] <= last for i in range(len(weights[ray]))]
+            mass = mpmath.fsum(weight for weight, counted in zip(weights[ray], near, strict=True) if counted)
+            losses.append(mpmath.log((1 + doubt) / (mass + doubt)) if any(near) else mpmath.mpf(0))
+        return {"stereo": mpmath.fsum(losses) / max(len(losses), 1)}

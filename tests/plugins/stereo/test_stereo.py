@@ -1,0 +1,68 @@
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import pytest
+import torch
+from nerfreg_plugins.stereo import Stereo, missed_depth
+
+NOTHING = [math.nan, math.nan]
+
+
+def test_by_hand(dtype, finite_gradients):
+    # Intervals [0, 1], [1, 2], [2, 3], [3, 4]; between 1.5 and 2.5 are the second and the third, of weight 0.25 + 0.5.
+    weights = torch.tensor([[0.125, 0.25, 0.5, 0.125]], dtype=dtype, requires_grad=True)
+    edges = torch.arange(5, dtype=dtype)[None]
+    value = missed_depth(weights, edges, torch.tensor([[1.5, 2.5]], dtype=dtype), doubt=0.1)
+    assert value.item() == pytest.approx(math.log(1.1 / 0.85))
+    # d/dm log(1.1 / (m + 0.1)) = -1 / 0.85
+    gradient = finite_gradients(value, weights)[0]
+    assert gradient[0].tolist() == pytest.approx([0, -1 / 0.85, -1 / 0.85, 0])
+
+
+def test_all_weight_there_is_no_loss(finite_gradients):
+    weights = torch.tensor([[0.0, 1.0]], requires_grad=True)
+    value = missed_depth(weights, torch.tensor([[0.0, 1.0, 2.0]]), torch.tensor([[1.2, 1.3]]), doubt=0.1)
+    assert value == 0
+    finite_gradients(value, weights)
+
+
+def test_no_weight_there_costs_the_doubt(finite_gradients):
+    weights = torch.tensor([[1.0, 0.0]], requires_grad=True)
+    for doubt in (0.1, 1e-6):
+        value = missed_depth(weights, torch.tensor([[0.0, 1.0, 2.0]]), torch.tensor([[1.2, 1.3]]), doubt)
+        assert value.item() == pytest.approx(math.log((1 + doubt) / doubt))
+        finite_gradients(value, weights)
+
+
+@pytest.mark.parametrize("known", [NOTHING, [5.0, 6.0], [-2.0, -1.0]])
+def test_rays_without_a_depth_count_as_kept(dtype, finite_gradients, known):
+    weights = torch.tensor([[0.5, 0.5], [0.5, 0.5]], dtype=dtype, requires_grad=True)
+    edges = torch.tensor([[0.0, 1.0, 2.0]], dtype=dtype).expand(2, 3)
+    value = missed_depth(weights, edges, torch.tensor([known, [1.5, 1.6]], dtype=dtype), doubt=0.5)
+    # One ray of two: log(1.5 / 1) / 2
+    assert value.item() == pytest.approx(math.log(1.5) / 2)
+    assert (finite_gradients(value, weights)[0][0] == 0).all()
+
+
+def test_no_rays():
+    assert missed_depth(torch.ones(0, 4), torch.ones(0, 5), torch.ones(0, 2), doubt=0.1) == 0
+
+
+def test_gradcheck():
+    chance = torch.Generator().manual_seed(0)
+    weights = torch.rand(3, 4, dtype=torch.float64, generator=chance) / 8
+    edges = torch.linspace(1, 5, 5, dtype=torch.float64).expand(3, 5)
+    known = torch.tensor([[1.5, 1.75], [2.5, 4.5], NOTHING], dtype=torch.float64)
+    assert torch.autograd.gradcheck(lambda w: missed_depth(w, edges, known, 0.1), weights.requires_grad_())
+
+
+def test_only_rays_with_a_photograph_count(rendering):
+    plugin = Stereo()
+    made = rendering(torch.full((4, 2), 0.5), targets=torch.zeros(3, 3))
+    assert plugin.nerfreg_loss(made) == {}
+    # Edges 2, 4, 6; a weight of 1 - exp(-0.5) in the first interval. The fourth ray has no target.
+    made = replace(made, rays=replace(made.rays, known_depth=torch.tensor([[2.5, 3.0], NOTHING, NOTHING])))
+    weight = 1 - math.exp(-0.5)
+    assert plugin.nerfreg_loss(made)["stereo"].item() == pytest.approx(math.log(1.1 / (weight + 0.1)) / 3)
