@@ -13,6 +13,7 @@ from nerfreg.registry import installed
 from nerfreg.stability import command
 from nerfreg.stability.cases import CASES
 from nerfreg.stability.layers import LAYER_CASES
+from nerfreg.stability.photographs import PHOTOGRAPH_CASES
 
 PACKAGES = Path(__file__).parents[1] / "stranger" / "packages"
 
@@ -84,7 +85,7 @@ def test_json_is_one_document(capsys):
 def test_list_of_cases(capsys):
     assert main(["check", "--list"]) == 0
     lines = capsys.readouterr().out.splitlines()
-    assert [line.split()[0] for line in lines] == [case.name for case in (*CASES, *LAYER_CASES)]
+    assert [line.split()[0] for line in lines] == [case.name for case in (*CASES, *LAYER_CASES, *PHOTOGRAPH_CASES)]
     assert max(map(len, lines)) <= 100
 
 

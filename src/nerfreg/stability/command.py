@@ -18,9 +18,12 @@ from nerfreg.stability.cases import CASES
 from nerfreg.stability.grid import Grid, check_compositor, check_plugin
 from nerfreg.stability.inputs import DTYPES
 from nerfreg.stability.layers import LAYER_CASES
+from nerfreg.stability.photographs import PHOTOGRAPH_CASES
 from nerfreg.stability.report import Report
 from nerfreg.stability.subject import Subject, make_subject
 from nerfreg.stability.table import as_json, print_reports
+
+ALL_CASES = (*CASES, *LAYER_CASES, *PHOTOGRAPH_CASES)
 
 
 @dataclass
@@ -105,7 +108,7 @@ def _set(options: Options, key: str, value: str) -> None:
             raise NerfregError(f"--samples {value}: must be a whole number, at least 1")
         options.samples = int(value)
         return
-    choices = {"case": [case.name for case in (*CASES, *LAYER_CASES)], "dtype": list(DTYPES)}
+    choices = {"case": [case.name for case in ALL_CASES], "dtype": list(DTYPES)}
     if key in choices and value not in choices[key]:
         raise NerfregError(f"--{key} {value}: {nearest(value, choices[key])}")
     setattr(options, key, value)
@@ -115,6 +118,7 @@ def _grid(options: Options) -> Grid:
     return Grid(
         cases=tuple(case for case in CASES if options.case in (None, case.name)),
         layer_cases=tuple(case for case in LAYER_CASES if options.case in (None, case.name)),
+        photograph_cases=tuple(case for case in PHOTOGRAPH_CASES if options.case in (None, case.name)),
         dtypes=tuple(DTYPES) if options.dtype is None else (options.dtype,),
         samples=options.samples,
     )
@@ -146,6 +150,6 @@ def _broken(plugin: PluginInfo) -> str:
 
 
 def _listing() -> str:
-    cases = [(case.name, case.description) for case in (*CASES, *LAYER_CASES)]
+    cases = [(case.name, case.description) for case in ALL_CASES]
     width = max(len(name) for name, _ in cases)
     return "\n".join(f"{name:<{width}}  {description}" for name, description in cases)

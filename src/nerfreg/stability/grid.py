@@ -11,6 +11,7 @@ from nerfreg.stability.cases import CASES, SIZES, Case
 from nerfreg.stability.inputs import DTYPES, Inputs
 from nerfreg.stability.layers import LAYER_CASES, LayerCase, check_layers
 from nerfreg.stability.losses import check_losses
+from nerfreg.stability.photographs import PHOTOGRAPH_CASES, PhotographCase, check_known_depth
 from nerfreg.stability.report import LIMITS, Report, Spot
 from nerfreg.stability.subject import Subject
 from nerfreg.stability.transforms import check_encoder_input, check_needs, check_ray_bounds
@@ -22,6 +23,7 @@ class Grid:
 
     cases: tuple[Case, ...] = CASES
     layer_cases: tuple[LayerCase, ...] = LAYER_CASES
+    photograph_cases: tuple[PhotographCase, ...] = PHOTOGRAPH_CASES
     dtypes: tuple[str, ...] = tuple(DTYPES)
     samples: int | None = None
 
@@ -40,6 +42,11 @@ class Grid:
             for dtype in self.dtypes:
                 if dtype in LIMITS:
                     yield case, Spot(case.name, dtype)
+
+    def photograph_points(self) -> Iterator[tuple[PhotographCase, Spot]]:
+        """Photographs are read as float32."""
+        for case in self.photograph_cases if "float32" in self.dtypes else ():
+            yield case, Spot(case.name, "float32")
 
 
 def check_plugin(subject: Subject, grid: Grid) -> Report:
@@ -63,6 +70,10 @@ def check_plugin(subject: Subject, grid: Grid) -> Report:
         for layer_case, spot in grid.layer_points():
             with _guarded(report, "value", spot):
                 check_layers(report, subject, layer_case, spot)
+    if "known_depth" in points:
+        for photograph_case, spot in grid.photograph_points():
+            with _guarded(report, "value", spot):
+                check_known_depth(report, subject, photograph_case, spot)
     return report
 
 

@@ -13,6 +13,7 @@ from nerfreg.field.layers import AffineLayer
 from nerfreg.finite import not_finite
 from nerfreg.hooks import NEIGHBORS, Needs, Rays, Rendering, Samples
 from nerfreg.registry import Term
+from nerfreg.scenes.scene import Photographs
 
 
 def wrong_needs(needs: object) -> list[str]:
@@ -105,13 +106,13 @@ def wrong_layer(layer: object, in_features: int, out_features: int) -> list[str]
 
 
 class Untouched:
-    """Remembers all tensors of a Rendering, its Rays or Samples, and tells which have been edited or replaced since.
+    """Remembers the tensors of what a hook gets, and tells which have been edited or replaced since.
 
     Values are compared besides versions: an edit through `.data` or numpy leaves the version as it was. Properties
     that are computed once, such as `Rendering.alphas`, are compared with what they must be.
     """
 
-    def __init__(self, watched: Rendering | Rays | Samples) -> None:
+    def __init__(self, watched: Rendering | Rays | Samples | Photographs) -> None:
         self._watched = watched
         self._tensors = dict(_tensors(watched))
         self._versions = {name: tensor._version for name, tensor in self._tensors.items()}
