@@ -13,7 +13,7 @@ from torch import Tensor
 
 from nerfreg import Photographs, Regularizer, Rendering, hookimpl
 from nerfreg.numerics import double, exact, single
-from nerfreg_plugins.stereo.plane_sweep import plane_sweep
+from nerfreg_plugins.stereo.sweep import plane_sweep
 
 
 def missed_depth(
@@ -50,8 +50,6 @@ class Stereo(Regularizer):
     window: int = 7
     sources: int = 4
 
-    # Around an object cameras are further apart: more planes to search, and windows that look less alike.
-    by_layout: ClassVar[dict[str, dict[str, Any]]] = {"orbit": {"width": 256}}
     cite: ClassVar[str] = """@inproceedings{deng2022dsnerf,
   title = {Depth-supervised {NeRF}: Fewer Views and Faster Training for Free},
   author = {Deng, Kangle and Liu, Andrew and Zhu, Jun-Yan and Ramanan, Deva},

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import torch
-from nerfreg_plugins.stereo.plane_sweep import plane_sweep
+from nerfreg_plugins.stereo.sweep import plane_sweep
 
 from nerfreg import Photographs
 from nerfreg.scenes.cameras import Cameras

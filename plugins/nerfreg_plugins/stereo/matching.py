@@ -1,0 +1,90 @@
+"""How unlike two photographs are around the pixels that would show the same point: compiled, for one plane at a time."""
+
+from __future__ import annotations
+
+from typing import no_type_check
+
+import numpy as np
+from numba import njit
+
+FAINT = 3e-4
+"""Variance of colour that is added to that of every window, so that noise alone does not match."""
+
+NO_MATCH = 0.8
+"""Cost, 1 - correlation, that no match is above: nothing there looks alike, or it is outside the other photograph."""
+
+
+@no_type_check
+@njit(nogil=True, cache=True, error_model="numpy")
+def lower_cost(own, other, places, margin, cost):
+    """Lower `cost` to 1 - correlation of the windows around the pixels of `own` and around their places in `other`.
+
+    own: (H, W, C), other: (H', W', C) colours. places: (H, W, 2) where the points of own pixels appear in `other`, (x, y) in
+    its pixels; NaN nowhere. margin: of a window, (side - 1) / 2; it ends with `own`. cost: (H, W), changed in place where
+    the place is inside of `other`.
+    """
+    height, width, channels = own.shape
+    high, wide = other.shape[:2]
+    # Of each pixel: its colour, its colour elsewhere, the squares of both, their product.
+    sums = 2 * channels + 3
+    pixels = np.zeros((height, width, sums), np.float32)
+    inside = np.zeros((height, width), np.bool_)
+    for y in range(height):
+        for x in range(width):
+            across, down = places[y, x, 0], places[y, x, 1]
+            inside[y, x] = 0 < across < wide and 0 < down < high
+            across = min(max(across - np.float32(0.5), np.float32(0)), np.float32(wide - 1))
+            down = min(max(down - np.float32(0.5), np.float32(0)), np.float32(high - 1))
+            left = min(max(int(across), 0), wide - 1)
+            top = min(max(int(down), 0), high - 1)
+            right, bottom = min(left + 1, wide - 1), min(top + 1, high - 1)
+            u, v = across - left, down - top
+            if not inside[y, x]:
+                u, v = min(max(u, np.float32(0)), np.float32(1)), min(max(v, np.float32(0)), np.float32(1))
+                if not (u >= 0 and v >= 0):
+                    u, v = np.float32(0), np.float32(0)
+            for c in range(channels):
+                upper = other[top, left, c] + u * (other[top, right, c] - other[top, left, c])
+                lower = other[bottom, left, c] + u * (other[bottom, right, c] - other[bottom, left, c])
+                seen, color = upper + v * (lower - upper), own[y, x, c]
+                pixels[y, x, c] = color
+                pixels[y, x, channels + c] = seen
+                pixels[y, x, sums - 3] += color * color
+                pixels[y, x, sums - 2] += seen * seen
+                pixels[y, x, sums - 1] += color * seen
+    # Windows slide: what enters is added and what leaves is taken off, in double precision.
+    columns = np.zeros((width, sums))
+    window = np.zeros(sums)
+    for y in range(-margin, height):
+        if y + margin < height:
+            for x in range(width):
+                for s in range(sums):
+                    columns[x, s] += pixels[y + margin, x, s]
+        if y < 0:
+            continue
+        if y - margin - 1 >= 0:
+            for x in range(width):
+                for s in range(sums):
+                    columns[x, s] -= pixels[y - margin - 1, x, s]
+        rows = min(y + margin, height - 1) - max(y - margin, 0) + 1
+        window[:] = 0
+        for x in range(-margin, width):
+            if x + margin < width:
+                for s in range(sums):
+                    window[s] += columns[x + margin, s]
+            if x < 0:
+                continue
+            if x - margin - 1 >= 0:
+                for s in range(sums):
+                    window[s] -= columns[x - margin - 1, s]
+            if not inside[y, x]:
+                continue
+            count = rows * (min(x + margin, width - 1) - max(x - margin, 0) + 1)
+            own_variance, variance = window[sums - 3] / count + FAINT, window[sums - 2] / count + FAINT
+            common = window[sums - 1] / count
+            for c in range(channels):
+                own_mean, mean = window[c] / count, window[channels + c] / count
+                own_variance -= own_mean * own_mean
+                variance -= mean * mean
+                common -= own_mean * mean
+            cost[y, x] = min(cost[y, x], 1 - common / np.sqrt(own_variance * variance))
