@@ -1,4 +1,4 @@
-"""How unlike two photographs are around the pixels that would show the same point: compiled, for one plane at a time."""
+"""How unlike two photographs are around pixels that would show the same point. Compiled, for one plane at a time."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ NO_MATCH = 0.8
 def lower_cost(own, other, places, margin, cost):
     """Lower `cost` to 1 - correlation of the windows around the pixels of `own` and around their places in `other`.
 
-    own: (H, W, C), other: (H', W', C) colours. places: (H, W, 2) where the points of own pixels appear in `other`, (x, y) in
-    its pixels; NaN nowhere. margin: of a window, (side - 1) / 2; it ends with `own`. cost: (H, W), changed in place where
-    the place is inside of `other`.
+    own: (H, W, C), other: (H', W', C) colours. places: (H, W, 2) where the points of own pixels appear in `other`,
+    (x, y) in its pixels, or NaN. margin: of a window, (side - 1) / 2; windows end where `own` ends. cost: (H, W),
+    changed in place where the place is inside of `other`.
     """
     height, width, channels = own.shape
     high, wide = other.shape[:2]
