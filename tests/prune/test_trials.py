@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import json
 import math
+import time
 from collections.abc import Callable
 from pathlib import Path
 
@@ -14,6 +15,7 @@ from nerfreg.config import Config
 from nerfreg.errors import NerfregError
 from nerfreg.prune.plan import Cell, Trial
 from nerfreg.prune.trials import Trials, in_share, usual_time
+from nerfreg.registry import Hooks
 
 SMALL = [
     "field.levels=2", "field.log2_entries=8", "sampler.coarse=8", "sampler.fine=8", "train.rays=32", "train.quiet=true",
@@ -66,6 +68,17 @@ def test_the_same_trial_gives_the_same_score(compose: Callable[..., Config]) -> 
         score(("lipschitz",), (1,), 1),
     ]
     assert score(("lipschitz",), (1,), 0) == first and first not in others
+
+
+def test_a_step_bears_its_share_of_what_comes_before_the_first(
+    compose: Callable[..., Config], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(Hooks, "known_depth", lambda hooks, photographs: time.sleep(0.4))
+    words = ("scene.size=8", "scene.views=3", *SMALL, "scene.held_out=[0]", "train.steps=4")
+    measured = Trials(compose(*words), 1, print)(Trial((), Cell((1,), 0), 2))
+    # of a whole run of 4 steps, not of this one of 2
+    assert measured.step_seconds > 0.1
+    assert measured.seconds > 0.4
 
 
 def test_a_single_view_cannot_be_held_out(compose: Callable[..., Config]) -> None:

@@ -18,8 +18,9 @@ CELLS = "cells.jsonl"
 
 @dataclass(frozen=True)
 class Measurement:
-    """psnr, average: on the held-out views; None where unknown. step_seconds: mean training time of a step.
-    seconds: of the whole trial, with loading and scoring. failure: why it ended early, if it did."""
+    """psnr, average: on the held-out views; None where unknown. step_seconds: mean training time of a step, and its
+    share, in a whole run, of what comes before the first. seconds: of the whole trial, with loading and scoring.
+    failure: why it ended early, if it did."""
 
     psnr: float | None
     average: float | None

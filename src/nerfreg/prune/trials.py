@@ -71,7 +71,8 @@ class Trials:
         )
         scores: Scores | None = None
         failure: str | None = None
-        clock = [0.0]
+        before = trainer.budget.seconds
+        clock = [before]
         try:
             while trainer.budget.fraction < 1:
                 trainer.step()
@@ -84,7 +85,7 @@ class Trials:
         return Measurement(
             psnr=_finite(scores.psnr if scores else None),
             average=_finite(scores.average if scores else None),
-            step_seconds=usual_time(clock),
+            step_seconds=usual_time(clock) + before / (config.train.steps or trial.steps),
             seconds=time.perf_counter() - begun,
             failure=failure,
         )
