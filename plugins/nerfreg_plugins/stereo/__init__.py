@@ -3,6 +3,7 @@ DS-NeRF (Deng et al. 2022); plane-sweep stereo instead of sparse points, and dou
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -12,8 +13,9 @@ from jaxtyping import Float
 from torch import Tensor
 
 from nerfreg import Photographs, Regularizer, Rendering, hookimpl
+from nerfreg.errors import require_range
 from nerfreg.numerics import double, exact, single
-from nerfreg_plugins.stereo.sweep import plane_sweep
+from nerfreg_plugins.stereo.sweep import FEWEST, plane_sweep
 
 
 def missed_depth(
@@ -39,8 +41,7 @@ def missed_depth(
 class Stereo(Regularizer):
     """Weights lie where the photographs agree that something is: plane-sweep stereo, once before the first step.
 
-    doubt: how likely it is that a depth is wrong.
-    width, planes, window, sources: of the search, see `plane_sweep`.
+    doubt: how likely it is that a depth is wrong. width, planes, window, sources: of the search, see `plane_sweep`.
     """
 
     weight: float = 0.01
@@ -56,6 +57,10 @@ class Stereo(Regularizer):
   booktitle = {CVPR},
   year = {2022}
 }"""
+
+    def __post_init__(self) -> None:
+        require_range("reg.stereo", self, doubt=(1e-6, 1e6), width=(1, math.inf), planes=(FEWEST, 4096))
+        require_range("reg.stereo", self, window=(1, 99), sources=(1, math.inf))
 
     @hookimpl
     def nerfreg_known_depth(self, photographs: Photographs) -> Float[Tensor, "views height width 2"]:

@@ -7,6 +7,8 @@ import pytest
 import torch
 from nerfreg_plugins.stereo import Stereo, missed_depth
 
+from nerfreg import NerfregError
+
 NOTHING = [math.nan, math.nan]
 
 
@@ -66,3 +68,10 @@ def test_only_rays_with_a_photograph_count(rendering):
     made = replace(made, rays=replace(made.rays, known_depth=torch.tensor([[2.5, 3.0], NOTHING, NOTHING])))
     weight = 1 - math.exp(-0.5)
     assert plugin.nerfreg_loss(made)["stereo"].item() == pytest.approx(math.log(1.1 / (weight + 0.1)) / 3)
+
+
+@pytest.mark.parametrize("wrong", [{"doubt": 0.0}, {"width": 0}, {"planes": 2}, {"window": 0}, {"sources": 0}])
+def test_searches_that_cannot_be(wrong):
+    [(key, value)] = wrong.items()
+    with pytest.raises(NerfregError, match=rf"reg.stereo.{key}={value}: must be"):
+        Stereo(**wrong)
