@@ -264,6 +264,7 @@ def test_depth_of_a_wrong_kind_is_refused(photographs) -> None:
         Hooks({"wide": Depth(pixels=5)}).known_depth(photographs)
     with pytest.raises(NerfregError, match="plugin turned, nerfreg_known_depth: some intervals end before they begin"):
         Hooks({"turned": Depth(first=3.0)}).known_depth(photographs)
+    assert Hooks({"off": Depth(weight=0.0), "on": Depth(), "other": Constant()}).depth_tellers == ("on",)
     unknown = Hooks({"unknown": Depth(first=float("nan"), last=float("nan"))}).known_depth(photographs)
     assert unknown.isnan().all()
 

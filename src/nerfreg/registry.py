@@ -190,13 +190,18 @@ class Hooks:
         )
         return layer
 
+    @property
+    def depth_tellers(self) -> tuple[str, ...]:
+        """Plugins that `known_depth` asks, which may take them a while."""
+        return self._users["nerfreg_known_depth"]
+
     def known_depth(self, photographs: Photographs) -> Float[Tensor, "views height width 2"] | None:
         """What a selected plugin knows of depth before training, whatever its window.
 
         Raises NerfregError if two plugins know something, and for what is no interval for each pixel.
         """
         known: dict[str, Tensor] = {}
-        for name in self._users["nerfreg_known_depth"]:
+        for name in self.depth_tellers:
             for depth in self._manager((name,)).hook.nerfreg_known_depth(photographs=photographs):
                 known[name] = depth
         if len(known) > 1:

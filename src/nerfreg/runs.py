@@ -54,9 +54,12 @@ def train(config: Config, folder: Path) -> dict[str, Any]:
     lpips = load_lpips(config.eval.lpips_weights) if config.eval.lpips else None
     device = prepare(config)
     progress = Progress(config.train.quiet)
+    hooks = CheckedHooks(config.reg, config.train.check_every) if config.train.check else Hooks(config.reg)
+    if hooks.depth_tellers:
+        progress.message(f"{', '.join(hooks.depth_tellers)}: looking at {len(scene.train)} photographs")
     trainer = Trainer(
         scene,
-        CheckedHooks(config.reg, config.train.check_every) if config.train.check else Hooks(config.reg),
+        hooks,
         config.field,
         config.sampler,
         config.optim,
