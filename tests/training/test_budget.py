@@ -39,6 +39,14 @@ def test_preparation_takes_time_and_no_step() -> None:
         time.sleep(0.02)
     assert budget.step == 0 and budget.seconds >= 0.02
     assert budget.fraction == pytest.approx(budget.seconds / 100)
+    budget = Budget(TrainConfig(steps=None, seconds=100.0))
+    with budget.prepare():
+        time.sleep(0.05)
+    prepared = budget.seconds
+    with budget.spend():
+        time.sleep(0.01)
+    # What is left after the preparation goes to steps like this one.
+    assert budget.total == round((100 - prepared) / (budget.seconds - prepared))
 
 
 def test_whichever_comes_first() -> None:

@@ -26,6 +26,7 @@ class Budget:
         self.config = config
         self.step = 0
         self.seconds = 0.0
+        self._prepared = 0.0
 
     @property
     def fraction(self) -> float:
@@ -40,14 +41,16 @@ class Budget:
         limit = self.config.steps
         if self.config.seconds is None or self.step == 0:
             return limit if limit is not None else 1
-        projected = max(self.step, round(self.step * self.config.seconds / max(self.seconds, 1e-9)))
+        left, stepping = self.config.seconds - self._prepared, self.seconds - self._prepared
+        projected = max(self.step, round(self.step * left / max(stepping, 1e-9)))
         return projected if limit is None else min(limit, projected)
 
     @contextmanager
     def spend(self) -> Iterator[None]:
         """Count one step and the time it takes."""
-        with self.prepare():
-            yield
+        start = time.perf_counter()
+        yield
+        self.seconds += time.perf_counter() - start
         self.step += 1
 
     @contextmanager
@@ -55,4 +58,6 @@ class Budget:
         """Count the time it takes, and no step."""
         start = time.perf_counter()
         yield
-        self.seconds += time.perf_counter() - start
+        taken = time.perf_counter() - start
+        self.seconds += taken
+        self._prepared += taken

@@ -59,7 +59,7 @@ class Trainer:
         if self.budget.fraction >= 1:
             raise NerfregError(
                 f"train.seconds={train.seconds:g}: was spent before the first step, "
-                f"on {self.budget.seconds:.0f} s of what the plugins do beforehand; give more"
+                f"on {self.budget.seconds:.1f} s of what the plugins do beforehand; give more"
             )
 
     def warm_up(self) -> None:
