@@ -115,7 +115,7 @@ def test_over_scenes(write_run: Callable[..., Path], tmp_path: Path) -> None:
     # (21 + 30) / 2, not the mean over runs, 24; one scene has one seed, so no deviation
     assert [(row.label, row.count) for row in over.rows] == [("vanilla", 3)]
     assert cell(over, "vanilla", "psnr") == Cell(25.5, None, 3)
-    assert "kl is left out: no complete run on room, 3 views." in over.notes
+    assert "Left out, without a complete run on room, 3 views: kl." in over.notes
 
 
 def test_over_scenes_beside_published_means(write_run: Callable[..., Path], tmp_path: Path) -> None:

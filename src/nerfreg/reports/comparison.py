@@ -126,11 +126,12 @@ def _over_scenes(title: str, scenes: Sequence[_Scene], paper: Sequence[PaperRow]
     columns = columns_of([scene.runs for scene in scenes], "to PSNR" if timed else None)
     done = [ordered_methods(complete(scene.runs), VANILLA) for scene in scenes]
     methods = ordered_methods([run for scene in scenes for run in scene.runs], VANILLA)
-    rows, notes = [], []
+    rows: list[Row] = []
+    incomplete: dict[str, list[str]] = {}
     for method in methods:
-        lacking = [scene.setting for scene, runs in zip(scenes, done, strict=True) if method not in runs]
+        lacking = [scene.setting.title for scene, runs in zip(scenes, done, strict=True) if method not in runs]
         if lacking:
-            notes.append(f"{method} is left out: no complete run on {'; '.join(setting.title for setting in lacking)}.")
+            incomplete.setdefault("; ".join(lacking), []).append(method)
             continue
         runs = [by_method[method] for by_method in done]
         cells = [
@@ -143,6 +144,7 @@ def _over_scenes(title: str, scenes: Sequence[_Scene], paper: Sequence[PaperRow]
         rows.append(Row(method, tuple(cells), sum(map(len, runs))))
     published = [] if scenes[0].setting.held_out else rows_over_scenes(paper, [scene.paper for scene in scenes])
     rows += [_paper_row(row, columns) for row in published]
+    notes = [f"Left out, without a complete run on {where}: {', '.join(names)}." for where, names in incomplete.items()]
     shared = {", ".join(scene.runs[0].shared) or "no override" for scene in scenes}
     if len(shared) > 1:
         notes += [f"{s.setting.title}: all runs have {', '.join(s.runs[0].shared) or 'no override'}." for s in scenes]
