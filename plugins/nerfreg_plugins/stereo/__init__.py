@@ -20,20 +20,23 @@ from nerfreg_plugins.stereo.sweep import FEWEST, plane_sweep
 
 def missed_depth(
     weights: Float[Tensor, "rays samples"],
+    tau: Float[Tensor, "rays samples"],
     t_edges: Float[Tensor, "rays edges"],
     known_depth: Float[Tensor, "rays 2"],
     doubt: float,
 ) -> Float[Tensor, ""]:
     """log((1 + doubt) / (m + doubt)), m the weights where something is known to be; mean over rays.
 
-    weights: (R, N). t_edges: (R, N+1). known_depth: (R, 2), between which distances. m sums the intervals that reach
-    into them. Rays of which nothing is known (NaN), or no interval of which reaches there, give 0. With more doubt it
-    costs less to be elsewhere: what is known may be wrong.
+    weights, tau: (R, N), tau the optical thickness. t_edges: (R, N+1). known_depth: (R, 2), between which distances. m
+    sums the intervals that reach into them. Rays of which nothing is known (NaN), or no interval of which reaches
+    there, give 0. With more doubt it costs less to be elsewhere: what is known may be wrong.
     """
     weights, edges, (first, last) = single(weights), double(t_edges), double(known_depth)[:, :, None].unbind(1)
     close = (edges[:, 1:] >= first) & (edges[:, :-1] <= last)
-    mass = (weights * close).sum(-1).clamp(max=1.0)
-    missed = torch.log1p((1 - mass) / (mass + doubt))
+    passed = torch.exp(-double(tau).sum(-1)).to(weights.dtype)
+    # What the rest of the ray and the background get is 1 - m, and keeps its digits where m is almost 1.
+    there, elsewhere = (weights * close).sum(-1), (weights * ~close).sum(-1) + passed
+    missed = torch.log1p(elsewhere / (there + doubt))
     return torch.where(close.any(-1), missed, 0.0).sum() / max(len(weights), 1)
 
 
@@ -71,8 +74,8 @@ class Stereo(Regularizer):
         known = rendering.rays.known_depth
         if known is None:
             return {}
-        weights, edges = rendering.weights[: len(known)], rendering.t_edges[: len(known)]
-        return {"stereo": missed_depth(weights, edges, known, self.doubt)}
+        weights, tau, edges = (x[: len(known)] for x in (rendering.weights, rendering.tau, rendering.t_edges))
+        return {"stereo": missed_depth(weights, tau, edges, known, self.doubt)}
 
     @property
     def scale_free(self) -> bool:
@@ -82,10 +85,12 @@ class Stereo(Regularizer):
     def nerfreg_reference(self, given: Any) -> dict[str, Any] | None:
         if not isinstance(given, Rendering) or given.rays.known_depth is None:
             return None
-        weights, edges, doubt = exact(given.weights), exact(given.t_edges), mpmath.mpf(self.doubt)
-        losses = []
+        weights, taus, edges = exact(given.weights), exact(given.tau), exact(given.t_edges)
+        doubt, losses = mpmath.mpf(self.doubt), []
         for ray, (first, last) in enumerate(given.rays.known_depth.tolist()):
             near = [edges[ray][i + 1] >= first and edges[ray][i] <= last for i in range(len(weights[ray]))]
-            mass = mpmath.fsum(weight for weight, counted in zip(weights[ray], near, strict=True) if counted)
-            losses.append(mpmath.log((1 + doubt) / (mass + doubt)) if any(near) else mpmath.mpf(0))
+            there = mpmath.fsum(weight for weight, counted in zip(weights[ray], near, strict=True) if counted)
+            elsewhere = mpmath.fsum(weight for weight, counted in zip(weights[ray], near, strict=True) if not counted)
+            missed = (elsewhere + mpmath.exp(-mpmath.fsum(taus[ray]))) / (there + doubt)
+            losses.append(mpmath.log1p(missed) if any(near) else mpmath.mpf(0))
         return {"stereo": mpmath.fsum(losses) / max(len(losses), 1)}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -16,6 +17,8 @@ from nerfreg.rendering.renderer import MIN_WEIGHT
 
 PATCH = 4
 """Side of the square patches that the rays form; the rays of a patch share their t."""
+KNOWN = 0.05
+"""Half of what is known of a surface's place, as a share of near to far; of every fourth ray nothing is."""
 
 
 @dataclass(frozen=True)
@@ -43,7 +46,10 @@ class Input:
         tau = self.thickness(surface, (places[:, 1:] + places[:, :-1]) / 2)
         density = tau / (places.diff(dim=1) * (self.far - self.near))
         t_edges = (self.near + places * (self.far - self.near)).to(dtype)
-        return _rendering(density.to(dtype), t_edges, patches, generator)
+        known = torch.cat([surface - KNOWN, surface + KNOWN], dim=1)
+        known[::PATCH] = math.nan
+        known_depth = (self.near + known * (self.far - self.near)).to(dtype)
+        return _rendering(density.to(dtype), t_edges, known_depth, patches, generator)
 
 
 def _bump(surface: Float[Tensor, "rays 1"], middle: Float[Tensor, "rays samples"]) -> Float[Tensor, "rays samples"]:
@@ -81,6 +87,7 @@ def _ascending(rays: int, samples: int, generator: torch.Generator) -> Float[Ten
 def _rendering(
     density: Float[Tensor, "rays samples"],
     t_edges: Float[Tensor, "rays edges"],
+    known_depth: Float[Tensor, "rays 2"],
     patches: Tensor,
     generator: torch.Generator,
 ) -> Rendering:
@@ -101,6 +108,7 @@ def _rendering(
             neighbors=across,
             unseen=torch.zeros(0, dtype=torch.long),
             groups=torch.arange(len(patches)).repeat_interleave(PATCH**2),
+            known_depth=known_depth,
         ),
         t_edges=t_edges,
         t=t,

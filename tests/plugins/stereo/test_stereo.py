@@ -12,52 +12,65 @@ from nerfreg import NerfregError
 NOTHING = [math.nan, math.nan]
 
 
+def loss(tau: torch.Tensor, edges: torch.Tensor, known: torch.Tensor, doubt: float) -> torch.Tensor:
+    """Of the weights that optical thickness makes."""
+    before = torch.cat([torch.zeros_like(tau[:, :1]), tau[:, :-1].cumsum(-1)], dim=1)
+    return missed_depth(torch.exp(-before) * -torch.expm1(-tau), tau, edges, known, doubt)
+
+
 def test_by_hand(dtype, finite_gradients):
-    # Intervals [0, 1], [1, 2], [2, 3], [3, 4]; between 1.5 and 2.5 are the second and the third, of weight 0.25 + 0.5.
-    weights = torch.tensor([[0.125, 0.25, 0.5, 0.125]], dtype=dtype, requires_grad=True)
+    # Half of what is left stays in each: weights 1/2, 1/4, 1/8, 1/16. Between 1.5 and 2.5 are the second and the third.
+    tau = torch.full((1, 4), math.log(2), dtype=dtype, requires_grad=True)
     edges = torch.arange(5, dtype=dtype)[None]
-    value = missed_depth(weights, edges, torch.tensor([[1.5, 2.5]], dtype=dtype), doubt=0.1)
-    assert value.item() == pytest.approx(math.log(1.1 / 0.85))
-    # d/dm log(1.1 / (m + 0.1)) = -1 / 0.85
-    gradient = finite_gradients(value, weights)[0]
-    assert gradient[0].tolist() == pytest.approx([0, -1 / 0.85, -1 / 0.85, 0])
+    value = loss(tau, edges, torch.tensor([[1.5, 2.5]], dtype=dtype), doubt=0.1)
+    assert value.item() == pytest.approx(math.log(1.1 / 0.475))
+    # m = exp(-tau_1) (1 - exp(-tau_2 - tau_3)): dm is -m, 1/8, 1/8, 0, and the loss falls by dm / (m + 0.1)
+    gradient = finite_gradients(value, tau)[0]
+    assert gradient[0].tolist() == pytest.approx([0.375 / 0.475, -0.125 / 0.475, -0.125 / 0.475, 0], abs=1e-6)
 
 
 def test_all_weight_there_is_no_loss(finite_gradients):
-    weights = torch.tensor([[0.0, 1.0]], requires_grad=True)
-    value = missed_depth(weights, torch.tensor([[0.0, 1.0, 2.0]]), torch.tensor([[1.2, 1.3]]), doubt=0.1)
+    tau = torch.tensor([[0.0, 1000.0]], requires_grad=True)
+    value = loss(tau, torch.tensor([[0.0, 1.0, 2.0]]), torch.tensor([[1.2, 1.3]]), doubt=0.1)
     assert value == 0
-    finite_gradients(value, weights)
+    finite_gradients(value, tau)
+
+
+def test_nearly_all_weight_there_keeps_its_digits(dtype):
+    # A haze of 1e-9 before the wall, exp(-25) behind it; together far below what 1 - m could tell in float32.
+    tau = torch.tensor([[1e-9, 25.0]], dtype=dtype)
+    value = loss(tau, torch.tensor([[0.0, 1.0, 2.0]], dtype=dtype), torch.tensor([[1.2, 1.3]]), doubt=0.1)
+    assert value.item() == pytest.approx((1e-9 + math.exp(-25)) / 1.1, rel=1e-6)
 
 
 def test_no_weight_there_costs_the_doubt(finite_gradients):
-    weights = torch.tensor([[1.0, 0.0]], requires_grad=True)
+    tau = torch.tensor([[1000.0, 0.0]], requires_grad=True)
     for doubt in (0.1, 1e-6):
-        value = missed_depth(weights, torch.tensor([[0.0, 1.0, 2.0]]), torch.tensor([[1.2, 1.3]]), doubt)
+        value = loss(tau, torch.tensor([[0.0, 1.0, 2.0]]), torch.tensor([[1.2, 1.3]]), doubt)
         assert value.item() == pytest.approx(math.log((1 + doubt) / doubt))
-        finite_gradients(value, weights)
+        finite_gradients(value, tau)
 
 
 @pytest.mark.parametrize("known", [NOTHING, [5.0, 6.0], [-2.0, -1.0]])
 def test_rays_without_a_depth_count_as_kept(dtype, finite_gradients, known):
-    weights = torch.tensor([[0.5, 0.5], [0.5, 0.5]], dtype=dtype, requires_grad=True)
+    tau = torch.tensor([[math.log(2), 1000.0]] * 2, dtype=dtype, requires_grad=True)
     edges = torch.tensor([[0.0, 1.0, 2.0]], dtype=dtype).expand(2, 3)
-    value = missed_depth(weights, edges, torch.tensor([known, [1.5, 1.6]], dtype=dtype), doubt=0.5)
+    value = loss(tau, edges, torch.tensor([known, [1.5, 1.6]], dtype=dtype), doubt=0.5)
     # One ray of two: log(1.5 / 1) / 2
     assert value.item() == pytest.approx(math.log(1.5) / 2)
-    assert (finite_gradients(value, weights)[0][0] == 0).all()
+    assert (finite_gradients(value, tau)[0][0] == 0).all()
 
 
 def test_no_rays():
-    assert missed_depth(torch.ones(0, 4), torch.ones(0, 5), torch.ones(0, 2), doubt=0.1) == 0
+    assert loss(torch.ones(0, 4), torch.ones(0, 5), torch.ones(0, 2), doubt=0.1) == 0
 
 
 def test_gradcheck():
     chance = torch.Generator().manual_seed(0)
-    weights = torch.rand(3, 4, dtype=torch.float64, generator=chance) / 8
+    tau = torch.rand(3, 4, dtype=torch.float64, generator=chance)
     edges = torch.linspace(1, 5, 5, dtype=torch.float64).expand(3, 5)
     known = torch.tensor([[1.5, 1.75], [2.5, 4.5], NOTHING], dtype=torch.float64)
-    assert torch.autograd.gradcheck(lambda w: missed_depth(w, edges, known, 0.1), weights.requires_grad_())
+    assert torch.autograd.gradcheck(lambda tau: loss(tau, edges, known, 0.1), tau.requires_grad_())
 
 
 def test_only_rays_with_a_photograph_count(rendering):
