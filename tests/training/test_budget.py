@@ -5,6 +5,8 @@ from __future__ import annotations
 import time
 
 import pytest
+from numba import njit
+from numba.core.event import install_timer
 
 from nerfreg.errors import NerfregError
 from nerfreg.training.budget import Budget
@@ -47,6 +49,22 @@ def test_preparation_takes_time_and_no_step() -> None:
         time.sleep(0.01)
     # What is left after the preparation goes to steps like this one.
     assert budget.total == round((100 - prepared) / (budget.seconds - prepared))
+
+
+@pytest.mark.parametrize("part", ["spend", "prepare"])
+def test_compilation_counts_nowhere(part: str) -> None:
+    @njit
+    def compiled_at_its_first_call(x: float) -> float:
+        return x + 1
+
+    compilation = []
+    budget = Budget(TrainConfig(steps=4))
+    start = time.perf_counter()
+    with install_timer("numba:compile", compilation.append), getattr(budget, part)():
+        time.sleep(0.02)
+        assert compiled_at_its_first_call(1.0) == 2.0
+    taken = time.perf_counter() - start
+    assert 0.02 <= budget.seconds <= taken - compilation[0]
 
 
 def test_whichever_comes_first() -> None:
