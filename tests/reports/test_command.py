@@ -32,6 +32,18 @@ def test_a_report(
     assert Path("out/report.html").is_file()
 
 
+def test_a_second_report_into_the_same_folder_shows_the_runs_of_now(
+    write_run: Callable[..., Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    write_run("runs/0", evaluations=((10.0, 15.0), (100.0, 20.0)))
+    main(["report", "runs", "-o", "out"])
+    write_run("runs/1", seed=1, evaluations=((10.0, 5.0), (100.0, 30.0)))
+    for folder in ("out", "fresh"):
+        main(["report", "runs", "-o", folder])
+    assert Path("out/report.html").read_text() == Path("fresh/report.html").read_text()
+
+
 def test_views_that_no_run_has_leave_no_half_of_a_report(
     write_run: Callable[..., Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

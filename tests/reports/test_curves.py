@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from nerfreg.reports.curves import Point, Series, band, draw_curves, final_point, legend_columns, series
+from nerfreg.reports.paper import PaperRow
 from nerfreg.reports.records import Evaluation, RunRecord
 from nerfreg.reports.style import method_styles
 
@@ -116,3 +117,23 @@ def test_long_names_have_fewer_columns() -> None:
     assert legend_columns(["x" * 20] * 5) == 3
     assert legend_columns(["x" * 20, "x" * 80]) == 1
     assert legend_columns([]) == 3
+
+
+def test_published_numbers_are_level_lines_with_names(tmp_path: Path) -> None:
+    runs = [run(score(1.0, 10.0, average=0.3), score(10.0, 20.0, average=0.2))]
+    paper = [
+        PaperRow("llff", 3, "fern", "vanilla", 17.79, 0.509, 0.402, None),  # its average is computed
+        PaperRow("llff", 3, "fern", "other", 30.0, None, None, None),
+        PaperRow("llff", 3, "fern", "close", 30.1, None, None, None),
+    ]
+    _, svg = draw_curves(runs, method_styles(runs), "fern, 3 views", tmp_path / "curves", paper)
+    text = svg.read_text()
+    assert text.count("vanilla (paper)") == 2 and text.count("close, other (paper)") == 1
+    # The axis reaches up to what was published, which no run has.
+    assert ">30.0<" in text
+
+
+def test_without_runs_that_are_scored_nothing_published_is_drawn(tmp_path: Path) -> None:
+    runs = [run(complete=False)]
+    paper = [PaperRow("llff", 3, "fern", "vanilla", 17.79, 0.509, 0.402, None)]
+    assert "(paper)" not in draw_curves(runs, method_styles(runs), "fern", tmp_path / "curves", paper)[1].read_text()

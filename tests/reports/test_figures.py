@@ -38,7 +38,7 @@ def test_figures_are_of_what_there_is(runs: list[RunRecord], names: list[str]) -
 
 
 def test_a_figure_is_a_png_and_an_svg(tmp_path: Path) -> None:
-    files = draw([run("vanilla"), run("kl")], tmp_path)
+    files = draw(plots([run("vanilla"), run("kl")]), tmp_path)
     stems = ("curves-fern-3", "pareto-fern-3", "cost-fern-3")
     assert [path.name for path in files] == [f"{stem}{suffix}" for stem in stems for suffix in (".png", ".svg")]
     assert all(path.is_file() for path in files)
@@ -50,7 +50,7 @@ def test_many_methods_with_long_names_still_fit(tmp_path: Path) -> None:
         run("vanilla"),
         *(run(f"kl, a.very.long.key.of.a.setting={index}, and.another.one=true") for index in range(24)),
     ]
-    assert len(draw(runs, tmp_path)) == 6
+    assert len(draw(plots(runs), tmp_path)) == 6
 
 
 def test_costs_are_printed_beside_their_bars_cheapest_first(tmp_path: Path) -> None:

@@ -17,6 +17,7 @@ import numpy as np
 import pytest
 
 from nerfreg.reports import figures, page
+from nerfreg.reports.pictures import compare
 from nerfreg.reports.records import Evaluation, RunRecord
 from nerfreg.reports.tables import Cell, Column, Row, Table
 
@@ -67,8 +68,13 @@ def report(tmp_path_factory: pytest.TempPathFactory) -> Path:
         run(folder / "runs" / "b", "combinerf", 120),
         run(folder / "runs" / "c", "kl", 0, failure="step 3: <script>alert(1)</script> is not finite"),
     ]
-    figures.draw(records, folder / "out")
-    return page.write(records, [TABLE], folder / "out", [])
+    return write(records, [TABLE], folder / "out")
+
+
+def write(records: list[RunRecord], tables: list[Table], folder: Path) -> Path:
+    plots = figures.plots(records)
+    figures.draw(plots, folder)
+    return page.write(records, tables, plots, compare(records, ()), folder)
 
 
 class Elements(HTMLParser):
@@ -164,13 +170,13 @@ def test_figures_and_pictures_of_every_kind_are_on_the_page(report: Path) -> Non
 
 def test_the_same_runs_give_the_same_page(report: Path, tmp_path: Path) -> None:
     records = [run(tmp_path / "a", "vanilla", 100)]
-    pages = [page.write(records, [TABLE], tmp_path / name, []).read_bytes() for name in ("one", "two")]
+    pages = [write(records, [TABLE], tmp_path / name).read_bytes() for name in ("one", "two")]
     assert pages[0] == pages[1]
 
 
 def test_without_runs_that_are_scored_there_is_still_a_page(tmp_path: Path) -> None:
     record = run(tmp_path / "a", "vanilla", 0, failure="out of memory")
-    text = page.write([record], [], tmp_path / "out", []).read_text()
+    text = write([record], [], tmp_path / "out").read_text()
     assert "out of memory" in text and '<section id="compare"' not in text and '<section id="tables">' not in text
 
 

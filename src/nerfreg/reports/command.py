@@ -45,6 +45,7 @@ def run(words: Sequence[str]) -> int:
     from nerfreg.reports.collect import collect
     from nerfreg.reports.comparison import comparisons, cost_tables
     from nerfreg.reports.paper import read_paper
+    from nerfreg.reports.pictures import compare
     from nerfreg.reports.statistics import without_repetitions
     from nerfreg.reports.table_files import write_tables
 
@@ -53,8 +54,13 @@ def run(words: Sequence[str]) -> int:
     compared = comparisons(records, paper, options.psnr, notes)
     tables = [*compared, *cost_tables(records)]
     # First, because it refuses views that nobody has: then nothing is written.
-    html = page.write(records, tables, options.folder, options.pictures)
-    paths = [*write_tables(records, tables, options.folder), *figures.draw(records, options.folder), html]
+    pictures = compare(records, options.pictures)
+    plots = figures.plots(records, paper)
+    paths = [
+        *write_tables(records, tables, options.folder),
+        *figures.draw(plots, options.folder),
+        page.write(records, tables, plots, pictures, options.folder),
+    ]
     over_scenes = [table for table in compared if table.setting is None]
     for table in over_scenes or compared:
         print_table(table)

@@ -19,7 +19,7 @@ from nerfreg.reports.columns import (
 )
 from nerfreg.reports.grouping import Setting, by_setting, slug
 from nerfreg.reports.methods import VANILLA
-from nerfreg.reports.paper import PaperRow, rows_of_scene, rows_over_scenes, vanilla_psnr, with_average
+from nerfreg.reports.paper import PaperRow, published, rows_over_scenes, vanilla_psnr, with_average
 from nerfreg.reports.records import RunRecord
 from nerfreg.reports.statistics import Statistic, complete, mean_of_means, ordered_methods, summarize
 from nerfreg.reports.tables import NOT_REACHED, Cell, Column, Row, Table, marked
@@ -56,9 +56,9 @@ def comparisons(
     """
     scenes = []
     for setting, runs in by_setting(records).items():
-        published, remarks = ([], []) if setting.held_out else _published(paper, setting, runs)
-        target = vanilla_psnr(published) if psnr is None else psnr
-        scenes.append(_Scene(setting, runs, published, target, [*remarks, *(notes or {}).get(setting, ())]))
+        rows, remarks = published(paper, setting, runs)
+        target = vanilla_psnr(rows) if psnr is None else psnr
+        scenes.append(_Scene(setting, runs, rows, target, [*remarks, *(notes or {}).get(setting, ())]))
     over = [_over_scenes(title, group, paper) for title, group in _families(scenes)]
     return [*map(_of_scene, scenes), *(table for table in over if any(not row.paper for row in table.rows))]
 
@@ -90,12 +90,6 @@ def cost_tables(records: Sequence[RunRecord]) -> list[Table]:
         title = f"Cost of a step: {setting.title}"
         tables.append(Table(title, f"cost-{setting.name}", columns, marked(columns, rows), "runs", tuple(notes)))
     return tables
-
-
-def _published(
-    paper: Sequence[PaperRow], setting: Setting, runs: Sequence[RunRecord]
-) -> tuple[list[PaperRow], list[str]]:
-    return rows_of_scene(paper, setting.scene, setting.views, runs[0].settings)
 
 
 def _of_scene(scene: _Scene) -> Table:
@@ -142,8 +136,8 @@ def _over_scenes(title: str, scenes: Sequence[_Scene], paper: Sequence[PaperRow]
         if timed:
             cells.append(_reached_everywhere([_reached(r, s.target or 0.0) for r, s in zip(runs, scenes, strict=True)]))
         rows.append(Row(method, tuple(cells), sum(map(len, runs))))
-    published = [] if scenes[0].setting.held_out else rows_over_scenes(paper, [scene.paper for scene in scenes])
-    rows += [_paper_row(row, columns) for row in published]
+    known = [] if scenes[0].setting.held_out else rows_over_scenes(paper, [scene.paper for scene in scenes])
+    rows += [_paper_row(row, columns) for row in known]
     notes = [f"Left out, without a complete run on {where}: {', '.join(names)}." for where, names in incomplete.items()]
     shared = {", ".join(scene.runs[0].shared) or "no override" for scene in scenes}
     if len(shared) > 1:
@@ -155,7 +149,7 @@ def _over_scenes(title: str, scenes: Sequence[_Scene], paper: Sequence[PaperRow]
         "deviation of a mean over one run of each scene."
     )
     name = slug(f"mean {title}")
-    notes += _notes_on_columns(timed, [run for scene in scenes for run in scene.runs], published)
+    notes += _notes_on_columns(timed, [run for scene in scenes for run in scene.runs], known)
     return Table(f"Mean over {title}", name, columns, marked(columns, rows), "runs", tuple(notes))
 
 

@@ -13,6 +13,7 @@ from jaxtyping import Float
 
 from nerfreg.reports.axes import LABEL_CHARACTER, Label, label_right, shortened, time_axis
 from nerfreg.reports.methods import VANILLA
+from nerfreg.reports.paper import PaperRow, with_average
 from nerfreg.reports.records import Evaluation, RunRecord
 from nerfreg.reports.statistics import ordered_methods
 from nerfreg.reports.style import GUIDE, INK, PANEL, Style, panels, save
@@ -26,6 +27,8 @@ LABELS: dict[Metric, str] = {"average": "average error  (lower is better)", "psn
 LEGEND_LENGTH = 80
 NAMES = 6
 """As many of the methods without colour, the best, have their names beside them."""
+PUBLISHED_LINE = 9.0
+"""Height of the name of a published number in points, with what the axes take."""
 READING = "lines: some of the test views, mean and range over seeds; markers: all test views, at the end"
 
 
@@ -106,11 +109,17 @@ def value_of(evaluation: Evaluation, metric: Metric) -> float | None:
     return value if value is not None and math.isfinite(value) else None
 
 
-def draw_curves(runs: Sequence[RunRecord], styles: Mapping[str, Style], title: str, stem: Path) -> list[Path]:
+def draw_curves(
+    runs: Sequence[RunRecord],
+    styles: Mapping[str, Style],
+    title: str,
+    stem: Path,
+    published: Sequence[PaperRow] = (),
+) -> list[Path]:
     """Average error and PSNR over training time for the methods of one setting; PNG and SVG.
 
     Lines: mean over seeds on a part of the test views, with a band from the smallest to the largest. Markers: all
-    test views at the end. Thin dotted lines: runs that are not complete.
+    test views at the end. Thin dotted lines: runs that are not complete. Level lines: what was published.
     """
     methods = ordered_methods(runs, VANILLA)
     keys = [method for method in methods if not styles[method].faint]
@@ -120,6 +129,7 @@ def draw_curves(runs: Sequence[RunRecord], styles: Mapping[str, Style], title: s
     with panels(2, 2 * PANEL[0], PANEL[1] + 0.55 + 0.17 * rows) as (figure, axes):
         for panel, metric in zip(axes, LABELS, strict=True):
             _draw_panel(panel, methods, styles, metric)
+            _draw_published(panel, published, metric)
         figure.suptitle(title, fontsize=9.5, color=INK)
         if handles:
             legend = figure.legend(
@@ -149,6 +159,29 @@ def _draw_panel(
     names.sort(key=lambda name: name.y, reverse=metric == "psnr")
     time_axis(panel, seconds, names[:NAMES])
     label_right(panel, names[:NAMES])
+
+
+def _draw_published(panel: Axes, published: Sequence[PaperRow], metric: Metric) -> None:
+    """A level line for each row. Names stand above it on the left, those of lines too close for that together."""
+    known = sorted(
+        (value, row.method) for row in map(with_average, published) if (value := getattr(row, metric)) is not None
+    )
+    if not panel.get_xticks().size:
+        return
+    for value, _ in known:
+        panel.axhline(value, color=GUIDE, linewidth=0.7, linestyle=(0, (1, 1.5)), zorder=1)
+    low, high = panel.get_ylim()
+    room = PUBLISHED_LINE / (72 * PANEL[1]) * (high - low)
+    names: list[str] = []
+    for index, (value, method) in enumerate(known):
+        names.insert(0, method)
+        above = known[index + 1][0] if index + 1 < len(known) else math.inf
+        if above - value >= room:
+            panel.text(
+                0.015, value + room / 2, f"{', '.join(names)} (paper)", transform=panel.get_yaxis_transform(),
+                color=GUIDE, fontsize=6, va="center",
+            ).set_in_layout(False)  # fmt: skip
+            names = []
 
 
 def _draw_method(panel: Axes, runs: Sequence[RunRecord], style: Style, metric: Metric) -> list[tuple[float, float]]:

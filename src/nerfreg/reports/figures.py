@@ -11,6 +11,7 @@ from typing import Literal
 from nerfreg.reports.costs import draw_costs
 from nerfreg.reports.curves import draw_curves
 from nerfreg.reports.grouping import by_method, by_setting
+from nerfreg.reports.paper import PaperRow, published
 from nerfreg.reports.pareto import draw_pareto
 from nerfreg.reports.records import RunRecord
 from nerfreg.reports.style import COLORED, method_styles
@@ -29,15 +30,19 @@ class Plot:
     draw: Callable[[Path], list[Path]]
 
 
-def plots(records: Sequence[RunRecord]) -> list[Plot]:
-    """What there is to draw: for every scene the curves, the front of more than one method, and what a step costs."""
+def plots(records: Sequence[RunRecord], paper: Sequence[PaperRow] = ()) -> list[Plot]:
+    """What there is to draw: for every scene the curves, the front of more than one method, and what a step costs.
+
+    paper: published numbers, which stand in the curves as lines.
+    """
     few = len(by_method(records)) <= COLORED
     found: list[Plot] = []
     for setting, runs in by_setting(records).items():
         styles = method_styles(records if few else runs)  # few enough to have the same colours in all scenes
         scored = [run for run in runs if run.evaluations or run.final is not None]
         if scored:
-            draw = partial(draw_curves, scored, styles, setting.title)
+            rows, _ = published(paper, setting, runs)
+            draw = partial(draw_curves, scored, styles, setting.title, published=rows)
             found.append(Plot("curves", f"curves-{setting.name}", setting.title, draw))
         complete = [run for run in runs if run.final is not None]
         if len({run.method for run in complete}) > 1:
@@ -50,6 +55,6 @@ def plots(records: Sequence[RunRecord]) -> list[Plot]:
     return found
 
 
-def draw(records: Sequence[RunRecord], folder: Path) -> list[Path]:
-    """Draw all figures into a folder, PNG and SVG of each. Raises NerfregError where they cannot be written."""
-    return [path for plot in plots(records) for path in plot.draw(folder / plot.name)]
+def draw(figures: Sequence[Plot], folder: Path) -> list[Path]:
+    """Draw figures into a folder, PNG and SVG of each. Raises NerfregError where they cannot be written."""
+    return [path for plot in figures for path in plot.draw(folder / plot.name)]

@@ -13,10 +13,10 @@ import numpy as np
 from nerfreg import __version__
 from nerfreg.evaluation.files import atomic
 from nerfreg.reports.axes import duration
-from nerfreg.reports.figures import plots
+from nerfreg.reports.figures import Plot
 from nerfreg.reports.grouping import by_setting, slug
 from nerfreg.reports.inline import data_uris, themed_svg
-from nerfreg.reports.pictures import Comparison, Crop, compare
+from nerfreg.reports.pictures import Comparison, Crop, Pictures
 from nerfreg.reports.records import RunRecord
 from nerfreg.reports.sheet import DEPTH_MAP, ERROR_MAP, draw_sheets
 from nerfreg.reports.tables import Table
@@ -77,18 +77,18 @@ class Run:
     command: str
 
 
-def write(records: Sequence[RunRecord], tables: Sequence[Table], folder: Path, pictures: Sequence[str]) -> Path:
+def write(
+    records: Sequence[RunRecord], tables: Sequence[Table], figures: Sequence[Plot], pictures: Pictures, folder: Path
+) -> Path:
     """Write FOLDER/report.html, and what it shows of test views as sheets in FOLDER/pictures; returns the page.
 
-    Figures that `nerfreg.reports.figures.draw` has put into the folder are shown; those that are missing are drawn.
-    pictures: the test views to show; none: those that tell most. Raises NerfregError for a view that is not there,
-    and where a file cannot be written.
+    figures: as `nerfreg.reports.figures.draw` has put them into the folder. pictures: of the test views to show.
+    Raises NerfregError where a file cannot be written.
     """
     from jinja2 import Environment, FileSystemLoader, StrictUndefined
     from markupsafe import Markup
 
-    chosen = compare(records, pictures)
-    draw_sheets(chosen.comparisons, folder / SHEETS)
+    draw_sheets(pictures.comparisons, folder / SHEETS)
     environment = Environment(
         loader=FileSystemLoader(TEMPLATE),
         autoescape=True,
@@ -102,9 +102,9 @@ def write(records: Sequence[RunRecord], tables: Sequence[Table], folder: Path, p
         parts=parts,
         version=__version__,
         tables=tables,
-        figures=_figures(records, folder),
-        views=_views(chosen.comparisons),
-        notes=chosen.notes,
+        figures=[_figure(plot, folder) for plot in figures],
+        views=_views(pictures.comparisons),
+        notes=pictures.notes,
         runs=[_run(record) for record in records],
         settings=[setting.title for setting in by_setting(records)],
         methods=len({record.method for record in records}),
@@ -117,17 +117,11 @@ def write(records: Sequence[RunRecord], tables: Sequence[Table], folder: Path, p
     return path
 
 
-def _figures(records: Sequence[RunRecord], folder: Path) -> list[Figure]:
+def _figure(plot: Plot, folder: Path) -> Figure:
     from markupsafe import Markup
 
-    figures = []
-    for plot in plots(records):
-        path = folder / f"{plot.name}.svg"
-        if not path.is_file():
-            plot.draw(folder / plot.name)
-        svg = themed_svg(path.read_text(encoding="utf-8"), plot.name)
-        figures.append(Figure(plot.kind, plot.title, Markup(svg)))
-    return figures
+    svg = (folder / f"{plot.name}.svg").read_text(encoding="utf-8")
+    return Figure(plot.kind, plot.title, Markup(themed_svg(svg, plot.name)))
 
 
 def _views(comparisons: Sequence[Comparison]) -> list[View]:

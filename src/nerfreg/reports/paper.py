@@ -10,7 +10,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from nerfreg.errors import NerfregError
+from nerfreg.reports.grouping import Setting
 from nerfreg.reports.methods import VANILLA
+from nerfreg.reports.records import RunRecord
 
 COLUMNS = ("dataset", "views", "scene", "method", "psnr", "ssim", "lpips", "average")
 VALUES = ("psnr", "ssim", "lpips", "average")
@@ -82,6 +84,13 @@ def rows_of_scene(
         else:
             kept.append(row)
     return kept, list(notes)
+
+
+def published(
+    paper: Sequence[PaperRow], setting: Setting, runs: Sequence[RunRecord]
+) -> tuple[list[PaperRow], list[str]]:
+    """What was published on the scene of some runs, see `rows_of_scene`; nothing on held-out training views."""
+    return ([], []) if setting.held_out else rows_of_scene(paper, setting.scene, setting.views, runs[0].settings)
 
 
 def rows_over_scenes(paper: Sequence[PaperRow], scenes: Sequence[Sequence[PaperRow]]) -> list[PaperRow]:
