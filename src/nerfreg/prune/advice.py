@@ -70,7 +70,7 @@ def _to_confirm(design: Design, ledger: Ledger, outcome: Outcome, tolerance: flo
         return ledger.cost(_trials(design, sets, design.first_look, design.ladder[-1]))
     needed = [(c, cells) for c in open_ if (cells := cells_to_confirm(c, tolerance)) is not None]
     costs = [
-        ledger.cost(_trials(design, (design.full, confirmation.regularizers), cells, confirmation.steps))
+        ledger.cost(_trials(design, (design.full, confirmation.regularizers), cells, design.ladder[-1]))
         for confirmation, cells in needed
     ]
     return min(costs, default=0.0)

@@ -131,12 +131,10 @@ def confirmation_sentence(confirmation: Confirmation, design: Design, tolerance:
         False: f"refused, worse by more than {tolerance:g} dB",
         None: "cannot tell",
     }[confirmation.passed]
-    whole = design.ladder[-1]
-    steps = f"{confirmation.steps} steps" + ("" if confirmation.steps == whole else f" (a whole run has {whole})")
     gain, time = confirmation.gain, confirmation.time
     figures = "" if gain.count < 2 else f"{ends(gain)} dB, {100 * time.mean:+.0f} % time, "
     names = "+".join(confirmation.regularizers) or "vanilla"
-    return f"{names} against the full set: {figures}{gain.count} cells of {steps}: {verdict}."
+    return f"{names} against the full set: {figures}{gain.count} cells of {design.ladder[-1]} steps: {verdict}."
 
 
 def duration(seconds: int) -> str:

@@ -13,9 +13,6 @@ from nerfreg.prune.verdicts import Finding, Verdict, judge, proposals
 CONTRIBUTIONS_SHARE = 2 / 3
 """Of the time budget; the rest is for confirming."""
 
-SHORTEST_CONFIRMATION = 1 / 2
-"""Of a whole run: many a regularizer hurts a short training and pays in a long one."""
-
 
 @dataclass(frozen=True)
 class Stage:
@@ -27,14 +24,13 @@ class Stage:
 
 @dataclass(frozen=True)
 class Confirmation:
-    """A proposed set against the full one.
+    """A proposed set against the full one, by whole runs.
 
     gain: dB that it has over the full set. time: what a step takes longer, as a share. passed: None: cannot tell.
     error: the chance that the intervals were allowed to miss.
     """
 
     regularizers: Selection
-    steps: int
     error: float
     gain: Interval
     time: Interval
@@ -105,8 +101,7 @@ class Study:
         more time, it goes on with the stage at which it stopped.
         """
         in_set = self.design.comparisons(Context.SET)
-        while True:
-            undecided = self._undecided()
+        while undecided := self._undecided():
             self._measure(self._sets(undecided), self.design.cells(self._stage.cells), self._stage.steps, until)
             self._looks += 1
             for comparison in undecided:
@@ -115,8 +110,9 @@ class Study:
             open_ = [c for c in in_set if self._findings[c].verdict is Verdict.CANNOT_TELL]
             following = self._following(self._stage, self._sets(open_), until)
             if not open_ or following is None:
-                return dict(self._findings)
+                break
             self._stage = following
+        return dict(self._findings)
 
     def _undecided(self) -> list[Comparison]:
         """What the present stage is for."""
@@ -128,16 +124,12 @@ class Study:
     def confirm(self, proposal: Selection, until: float) -> Confirmation | None:
         """Compare a smaller set with the full one until it is clear that it is no worse, or that it is.
 
-        At the longest trainings that fit into the time; None where even half a run does not.
+        By whole runs, since many a regularizer hurts a short training and pays in a long one; None where they do not
+        fit into the time.
         """
         sets = (self.design.full, proposal)
-        stages = [
-            Stage(steps, self.design.first_look)
-            for steps in reversed(self.design.ladder)
-            if steps >= SHORTEST_CONFIRMATION * self.design.ladder[-1]
-        ]
-        stage = next((stage for stage in stages if self._fits(sets, stage, until)), None)
-        if stage is None:
+        stage = Stage(self.design.ladder[-1], self.design.first_look)
+        if not self._fits(sets, stage, until):
             return None
         while True:
             cells = self.design.cells(stage.cells)
@@ -149,7 +141,7 @@ class Study:
             passed = True if gain.low >= -self.tolerance else False if gain.high < -self.tolerance else None
             more = self._more_cells(stage, sets, until)
             if passed is not None or more is None:
-                return Confirmation(proposal, stage.steps, error, gain, time, passed)
+                return Confirmation(proposal, error, gain, time, passed)
             stage = more
 
     def _find(self, comparison: Comparison, stage: Stage, error: float) -> Finding:
