@@ -36,7 +36,8 @@ def studied(budget: float) -> Summary:
 
 def test_sets_and_their_front() -> None:
     summary = studied(1000.0)
-    points = {point.regularizers: point for point in set_points(summary.design, summary.ledger)}
+    found = set_points(summary.design, summary.ledger)
+    points = {point.regularizers: point for point in found if point.steps == 25}
     expected = {("kl",): (1.0, -0.5, True), (): (0.0, -0.5, False), ("kl", "lipschitz"): (0.0, 0.0, False)}
     for names, (gain, time, on_front) in expected.items():
         assert points[names].gain.mean == pytest.approx(gain, abs=0.05)
@@ -45,8 +46,13 @@ def test_sets_and_their_front() -> None:
     assert points[("lipschitz",)].gain.mean == pytest.approx(-1.0, abs=0.05)
     # `average` falls by 0.01 with each regularizer: one fewer than the full set has
     assert points[("kl",)].average == pytest.approx(0.01)
-    # the set that was confirmed, at a whole run; vanilla at the first stage
-    assert (points[("kl",)].steps, points[()].steps) == (100, 25)
+    # the longest first: what was confirmed, by whole runs, and among these the front is another
+    assert [(point.regularizers, point.steps, point.on_front) for point in found[:2]] == [
+        (("kl",), 100, True),
+        (("kl", "lipschitz"), 100, False),
+    ]
+    assert [point.steps for point in found] == [100, 100, 25, 25, 25, 25]
+    assert [point.gain.mean for point in found[2:]] == sorted((p.gain.mean for p in found[2:]), reverse=True)
 
 
 def test_what_is_printed() -> None:

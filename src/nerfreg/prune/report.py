@@ -58,15 +58,15 @@ def _sets(summary: Summary) -> Table:
     points = set_points(summary.design, summary.ledger)
     table = new_table(
         f"Sets, against the full one{_level(summary)}",
-        "* on the Pareto front of error and time, by the means. Intervals of 95 % each. Every set at its longest "
-        "trainings, over the cells that it shares with the full one.",
+        "* on the Pareto front of error and time, by the means, of as many steps. Intervals of 95 % each, over the "
+        "cells that a set shares with the full one.",
     )
     table.add_column("", no_wrap=True)
     table.add_column("set", no_wrap=True)
     averages = any(point.average is not None for point in points)
     for header in ("dB", "95 %", *(["average"] if averages else []), "time, %", "steps", "n"):
         table.add_column(header, justify="right", no_wrap=True)
-    for point in points:
+    for point, below in zip(points, [*points[1:], None], strict=False):
         table.add_row(
             "*" if point.on_front else "",
             summary.design.label(point.regularizers),
@@ -76,6 +76,7 @@ def _sets(summary: Summary) -> Table:
             f"{100 * point.time.mean:+.0f}",
             str(point.steps),
             str(point.gain.count),
+            end_section=below is None or below.steps != point.steps,
         )
     return table
 

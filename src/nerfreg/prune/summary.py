@@ -46,17 +46,25 @@ class Summary:
 
 
 def set_points(design: Design, ledger: Ledger) -> list[SetPoint]:
-    """Every set that was trained, at its longest trainings, the best first, and which are on the Pareto front."""
-    points = []
-    for names in dict.fromkeys(trial.regularizers for trial in ledger.trials):
-        for steps in reversed(design.ladder):
-            cells = [trial.cell for trial in ledger.trials if trial.regularizers == names and trial.steps == steps]
-            pair = (names, design.full, cells, steps)
-            if gains := ledger.gains(*pair):
-                times, averages = ledger.extra_times(*pair), ledger.average_changes(*pair)
-                average = fmean(averages) if averages else None
-                points.append(SetPoint(names, steps, interval(gains, ERROR), interval(times, ERROR), average))
-                break
-    best = front([(-point.gain.mean, point.time.mean) for point in points])
-    points = [replace(point, on_front=index in best) for index, point in enumerate(points)]
-    return sorted(points, key=lambda point: -point.gain.mean)
+    """Every set that was trained, for each number of steps: the longest trainings first, of these the best first.
+
+    On the Pareto front is what nothing of as many steps beats: sets that look good early often do not in the end.
+    """
+    points: list[SetPoint] = []
+    for steps in reversed(design.ladder):
+        trained = dict.fromkeys(trial.regularizers for trial in ledger.trials if trial.steps == steps)
+        level = [point for names in trained if (point := _point(design, ledger, names, steps)) is not None]
+        best = front([(-point.gain.mean, point.time.mean) for point in level])
+        level = [replace(point, on_front=index in best) for index, point in enumerate(level)]
+        points += sorted(level, key=lambda point: -point.gain.mean)
+    return points
+
+
+def _point(design: Design, ledger: Ledger, names: Selection, steps: int) -> SetPoint | None:
+    cells = [trial.cell for trial in ledger.trials if trial.regularizers == names and trial.steps == steps]
+    pair = (names, design.full, cells, steps)
+    if not (gains := ledger.gains(*pair)):
+        return None
+    times, averages = ledger.extra_times(*pair), ledger.average_changes(*pair)
+    average = fmean(averages) if averages else None
+    return SetPoint(names, steps, interval(gains, ERROR), interval(times, ERROR), average)
