@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import torch
-from nerfreg_plugins.stereo.sweep import plane_sweep
+from nerfreg_plugins.stereo.search import agreed_depth
 
 from nerfreg import Photographs
 from nerfreg.scenes.cameras import Cameras
@@ -58,9 +60,17 @@ def wall(depth):
     return lambda origins, directions: torch.full((len(origins),), depth)
 
 
+def correctness(photos, depth, **options):
+    """Share of the middle photograph's pixels about which something is known, and how often it is right."""
+    known = agreed_depth(photos, **options)[1]
+    found = known.isfinite().all(-1)
+    truth = distances(photos, depth)[1]
+    return found.float().mean(), ((known[..., 0] <= truth) & (truth <= known[..., 1]))[found].float().mean()
+
+
 def test_a_wall():
     photos = photographs(wall(5.0))
-    known = plane_sweep(photos)
+    known = agreed_depth(photos)
     assert known.shape == (3, HEIGHT, WIDTH, 2)
     found = known.isfinite().all(-1)
     truth = distances(photos, 5.0)
@@ -81,7 +91,7 @@ def test_two_walls():
         return torch.where(close, 4.0, 8.0)
 
     photos = photographs(depth_of)
-    known = plane_sweep(photos)[1]
+    known = agreed_depth(photos)[1]
     middle = known.mean(-1) * (4.0 / distances(photos, 4.0)[1])
     left, right = middle[:, 8:20], middle[:, 30:40]
     assert (left[left.isfinite()] - 4).abs().median() < 0.3
@@ -91,14 +101,55 @@ def test_two_walls():
 
 def test_reduced_photographs_give_whole_maps():
     photos = photographs(wall(5.0))
-    known = plane_sweep(photos, width=24)
+    known = agreed_depth(photos, width=24)
     assert known.shape == (3, HEIGHT, WIDTH, 2)
-    blocks = known.view(3, HEIGHT // 2, 2, WIDTH // 2, 2, 2)
-    assert torch.equal(blocks[:, :, 0, :, 0].nan_to_num(), blocks[:, :, 1, :, 1].nan_to_num())
-    found = known.isfinite().all(-1)
     truth = distances(photos, 5.0)
-    # The corners of a block of 2 x 2 pixels are up to half a pixel away from the ray that was searched.
-    assert ((known[..., 0] < truth * 1.02) & (truth < known[..., 1] * 1.02))[found].float().mean() > 0.95
+    along_axis = known / truth[..., None]
+    blocks = along_axis.view(3, HEIGHT // 2, 2, WIDTH // 2, 2, 2)
+    torch.testing.assert_close(blocks[:, :, 0, :, 0], blocks[:, :, 1, :, 1], equal_nan=True)
+    found = known.isfinite().all(-1)
+    assert found[1].float().mean() > 0.8
+    assert ((along_axis[..., 0] < 1) & (along_axis[..., 1] > 1))[found].float().mean() > 0.95
+
+
+def test_a_floor_at_a_grazing_angle():
+    # Depth along the axis where the ray meets y = -1.5; the middle of the picture is bounded by a wall.
+    def depth_of(origins, directions):
+        return torch.minimum(-1.5 / directions[:, 1].clamp_max(-1e-6), torch.tensor(11.0))
+
+    photos = photographs(depth_of)
+    known = agreed_depth(photos)[1]
+    origins, directions = photos.cameras.image_rays(1)
+    along = -directions[:, 2]
+    truth = (depth_of(origins, directions / along[:, None]) / along).view(HEIGHT, WIDTH)
+    floor = torch.zeros(HEIGHT, WIDTH, dtype=torch.bool)
+    floor[-8:-1, 6:-6] = True
+    found = known.isfinite().all(-1) & floor
+    assert found.sum() > 0.8 * floor.sum()
+    assert ((known[..., 0] <= truth) & (truth <= known[..., 1]))[found].float().mean() > 0.9
+
+
+def test_more_tolerance_believes_more_and_less_exactly():
+    photos = photographs(wall(5.0))
+    strict, loose = (agreed_depth(photos, tolerance=tolerance) for tolerance in (0.2, 2.0))
+    assert strict.isfinite().sum() < loose.isfinite().sum()
+    assert (strict[..., 1] - strict[..., 0]).nanmedian() < 0.2 * (loose[..., 1] - loose[..., 0]).nanmedian()
+
+
+def test_a_lens_that_bends():
+    photos = photographs(wall(5.0))
+    bent = dataclasses.replace(photos.cameras, distortion=torch.tensor([-0.3, 0.05, 0.01, 0.0, 0.0]).expand(3, 5))
+    images = []
+    for view in range(3):
+        origins, directions = bent.image_rays(view)
+        points = (origins + 5 * directions / -directions[:, 2:]).view(HEIGHT, WIDTH, 3)
+        images.append(texture(points[..., 0], points[..., 1], 0))
+    bent_photos = dataclasses.replace(photos, cameras=bent, images=torch.stack(images))
+    found, right = correctness(bent_photos, 5.0)
+    assert found > 0.8 and right > 0.97
+    # Without its distortion the same photographs are of something else.
+    wrong = dataclasses.replace(bent_photos, cameras=photos.cameras)
+    assert correctness(wrong, 5.0, tolerance=0.3)[1] < correctness(bent_photos, 5.0, tolerance=0.3)[1] - 0.1
 
 
 def test_units_do_not_matter():
@@ -106,20 +157,20 @@ def test_units_do_not_matter():
     poses = photos.cameras.poses.clone()
     poses[:, :, 3] *= 1024
     cameras = Cameras(WIDTH, HEIGHT, poses, photos.cameras.focal, photos.cameras.center, photos.cameras.distortion)
-    larger = plane_sweep(Photographs(cameras, photos.images, NEAR * 1024, FAR * 1024, "forward"))
-    torch.testing.assert_close(larger, plane_sweep(photos) * 1024, equal_nan=True)
+    larger = agreed_depth(Photographs(cameras, photos.images, NEAR * 1024, FAR * 1024, "forward"))
+    torch.testing.assert_close(larger, agreed_depth(photos) * 1024, equal_nan=True)
 
 
 def test_photographs_of_different_things_agree_on_little():
     photos = photographs(wall(5.0))
     others = torch.stack([photographs(wall(5.0), seed=seed).images[seed] for seed in range(3)])
-    known = plane_sweep(Photographs(photos.cameras, others, NEAR, FAR, "forward"))
+    known = agreed_depth(Photographs(photos.cameras, others, NEAR, FAR, "forward"))
     assert known.isfinite().all(-1).float().mean() < 0.3
 
 
 def test_without_texture_nothing_is_nearer_or_farther_than_the_scene():
     photos = photographs(wall(5.0))
-    known = plane_sweep(Photographs(photos.cameras, torch.full_like(photos.images, 0.5), NEAR, FAR, "forward"))
+    known = agreed_depth(Photographs(photos.cameras, torch.full_like(photos.images, 0.5), NEAR, FAR, "forward"))
     along = known.nan_to_num(5.0)
     assert (along > 0).all() and (along <= FAR * 1.5).all()
 
@@ -128,17 +179,17 @@ def test_nothing_is_known_where_there_is_no_object():
     photos = photographs(wall(5.0))
     alpha = torch.ones(3, HEIGHT, WIDTH, 1)
     alpha[:, :, : WIDTH // 2] = 0.2
-    known = plane_sweep(Photographs(photos.cameras, torch.cat([photos.images, alpha], -1), NEAR, FAR, "orbit"))
+    known = agreed_depth(Photographs(photos.cameras, torch.cat([photos.images, alpha], -1), NEAR, FAR, "orbit"))
     assert known[:, :, : WIDTH // 2].isnan().all()
     assert known[:, :, WIDTH // 2 + 4 :].isfinite().float().mean() > 0.5
 
 
 def test_one_photograph_tells_nothing():
     photos = photographs(wall(5.0), count=1)
-    assert plane_sweep(photos).isnan().all()
+    assert agreed_depth(photos).isnan().all()
 
 
 def test_rays_that_begin_at_the_camera():
     photos = photographs(wall(5.0))
-    known = plane_sweep(Photographs(photos.cameras, photos.images, 0.0, FAR, "forward"))
+    known = agreed_depth(Photographs(photos.cameras, photos.images, 0.0, FAR, "forward"))
     assert (known.nan_to_num(1.0) > 0).all() and known.isfinite().any()
