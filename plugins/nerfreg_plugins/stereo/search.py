@@ -20,6 +20,9 @@ from nerfreg_plugins.stereo.patch_match import NO_MATCH, Comparison, patch_match
 BELIEVED = 0.6
 """Cost that a match must be below to be believed: 1 - correlation, and what the sources say against it."""
 
+STEP = 2
+"""A window has every second pixel."""
+
 NEAREST = 1e-3
 """The nearest depth, as a share of the farthest one's, where rays begin at 0."""
 
@@ -33,14 +36,14 @@ def agreed_depth(
     within that, and where alpha is below 1/2.
 
     width: to which the longer side of the photographs is reduced, about. window: side of what is compared, in reduced
-    pixels, of which it has every second. sources: how many nearest views each is compared with.
+    pixels. sources: how many nearest views each is compared with.
     """
     straight = _without_lens(photographs)
     factor = max(1, round(max(photographs.images.shape[1:3]) / width))
     half, whole = (_Views(straight, size, sources) for size in (2 * factor, factor))
     limits = 1 / max(photographs.near, NEAREST * photographs.far), 1 / photographs.far
     gap = tolerance * (limits[0] - limits[1]) / whole.shift(*limits)
-    search = _Search(half, limits, gap, reach=window // 4)
+    search = _Search(half, limits, gap, reach=window // (2 * STEP))
     search.improve(guesses=6, sweeps=4, changes=3)
     search = search.enlarged(whole)
     search.improve(sweeps=3, changes=2)
@@ -87,8 +90,8 @@ class _Views:
         apart = self.cameras.positions[view] - self.cameras.positions[source]
         right, up, back = self.cameras.poses[source, :, :3].unbind(1)
         focal, center = self.cameras.focal[source] / self.factor, self.cameras.center[source] / self.factor
-        lens = torch.stack([focal[0] * right - center[0] * back, -focal[1] * up - center[1] * back, -back])
-        return (directions @ lens.T).view(height, width, 3), lens @ apart
+        projection = torch.stack([focal[0] * right - center[0] * back, -focal[1] * up - center[1] * back, -back])
+        return (directions @ projection.T).view(height, width, 3), projection @ apart
 
     def shift(self, nearest: float, farthest: float) -> float:
         """By how many pixels what a source shows of a ray moves from the nearest depth to the farthest.
@@ -129,21 +132,15 @@ class _Search:
     def improve(self, guesses: int = 0, sweeps: int = 0, changes: int = 0) -> None:
         """See `patch_match`."""
 
-        def improve(first: int, last: int) -> None:
+        def improve_some(first: int, last: int) -> None:
             for view in range(first, last):
-                patch_match(
-                    self._comparison(view),
-                    self.views.opaque[view].numpy(),
-                    *map(np.float32, self.limits),
-                    guesses,
-                    sweeps,
-                    changes,
-                    view,
-                    self.planes[view].numpy(),
-                    self.cost[view].numpy(),
-                )
+                if self.views.sources[view]:
+                    comparison, there = self._comparison(view), self.views.opaque[view].numpy()
+                    limits, effort = map(np.float32, self.limits), (guesses, sweeps, changes)
+                    found = self.planes[view].numpy(), self.cost[view].numpy()
+                    patch_match(comparison, there, *limits, *effort, view, *found)
 
-        in_shares(len(self.views), 1, improve)
+        in_shares(len(self.views), 1, improve_some)
 
     def ask_sources(self) -> None:
         """From now on it costs to be elsewhere than where the sources, by now, believe a surface to be."""
@@ -161,22 +158,17 @@ class _Search:
 
     def _comparison(self, view: int) -> Comparison:
         views, sources = self.views, self.views.sources[view]
-        seen = [views.seen_from(view, source) for source in sources]
-        ahead, shift = (
-            (torch.stack(part) for part in zip(*seen, strict=True))
-            if seen
-            else (torch.zeros(0, 0, 0, 3), torch.zeros(0, 3))
-        )
+        ahead, shift = zip(*(views.seen_from(view, source) for source in sources), strict=True)
         return Comparison(
-            views.images[view].numpy(),
-            views.images[sources].numpy(),
-            ahead.numpy(),
-            shift.numpy(),
-            self.believed[sources].numpy(),
-            np.float32(self.gap),
-            np.float32(views.cameras.focal[view].mean() / views.factor),
-            self.reach,
-            2,
+            own=views.images[view].numpy(),
+            others=views.images[sources].numpy(),
+            ahead=torch.stack(ahead).numpy(),
+            shift=torch.stack(shift).numpy(),
+            believed=self.believed[sources].numpy(),
+            gap=np.float32(self.gap),
+            focal=np.float32(views.cameras.focal[view].mean() / views.factor),
+            reach=self.reach,
+            step=STEP,
         )
 
 
