@@ -66,7 +66,7 @@ class Stereo(Regularizer):
 }"""
 
     def __post_init__(self) -> None:
-        require_range("reg.stereo", self, doubt=(1e-6, 1e6), width=(1, math.inf), window=(1, 99))
+        require_range("reg.stereo", self, doubt=(1e-6, 1e6), width=(1, math.inf), window=(5, 99))
         require_range("reg.stereo", self, sources=(1, math.inf), tolerance=(1e-3, 1e3))
 
     @hookimpl

@@ -43,7 +43,7 @@ def agreed_depth(
     half, whole = (_Views(straight, size, sources) for size in (2 * factor, factor))
     limits = 1 / max(photographs.near, NEAREST * photographs.far), 1 / photographs.far
     gap = tolerance * (limits[0] - limits[1]) / whole.shift(*limits)
-    search = _Search(half, limits, gap, reach=window // (2 * STEP))
+    search = _Search(half, limits, gap, reach=(window - 1) // (2 * STEP))
     search.improve(guesses=6, sweeps=4, changes=3)
     search = search.enlarged(whole)
     search.improve(sweeps=3, changes=2)

@@ -104,7 +104,7 @@ def test_only_rays_with_a_photograph_count(rendering):
     assert plugin.nerfreg_loss(made)["stereo"].item() == pytest.approx(math.log(1.1 / (there + 0.1)) / 3)
 
 
-@pytest.mark.parametrize("wrong", [{"doubt": 0.0}, {"width": 0}, {"window": 0}, {"sources": 0}, {"tolerance": 0.0}])
+@pytest.mark.parametrize("wrong", [{"doubt": 0.0}, {"width": 0}, {"window": 4}, {"sources": 0}, {"tolerance": 0.0}])
 def test_searches_that_cannot_be(wrong):
     [(key, value)] = wrong.items()
     with pytest.raises(NerfregError, match=rf"reg.stereo.{key}={value}: must be"):
