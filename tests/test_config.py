@@ -51,6 +51,7 @@ def test_the_papers_settings(compose, name: str, scene: str, rays: int, steps: i
     assert (config.sampler.coarse, config.sampler.fine) == (64, 128)
     assert (config.field.levels, config.field.finest, config.field.log2_entries) == (levels, 2048, 19)
     assert not config.field.fit
+    assert (config.optim.lr, config.optim.decay, config.optim.ema) == (1e-2, 0.1, 0.95)
     assert compose(f"+experiment={name}", "train.steps=10", "scene.views=6").train.steps == 10
 
 

@@ -45,7 +45,7 @@ class OptimConfig:
     beta1: float = 0.9
     beta2: float = 0.99
     eps: float = 1e-15
-    decay: float = 0.1
+    decay: float = 0.3
     ema: float = 0.95
 
     def __post_init__(self) -> None:
