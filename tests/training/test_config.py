@@ -28,6 +28,13 @@ def test_refused(config: type, values: dict[str, float], message: str) -> None:
     assert str(error.value).startswith(message)
 
 
+def test_a_longer_run_slows_down_more() -> None:
+    assert OptimConfig(lr=0.01).rate(1.0, 1000) == pytest.approx(0.005)
+    assert OptimConfig(lr=0.01).rate(1.0, 9000) == pytest.approx(0.001)  # as the authors' program
+    assert OptimConfig(lr=0.01).rate(0.5, 3000) == pytest.approx(0.005)  # a quarter at the end, half of the way
+    assert OptimConfig(lr=0.01, decay=0.04).rate(0.5, 9000) == pytest.approx(0.002)
+
+
 def test_no_memory_at_all_is_fine() -> None:
     assert OptimConfig(beta1=0.0, beta2=0.0).beta1 == 0.0
 

@@ -9,6 +9,9 @@ from nerfreg.errors import NerfregError, require_range
 
 LARGEST = 1e6
 
+HALVED = 1000
+"""Steps of a run at whose end the learning rate is half of the first."""
+
 
 @dataclass
 class TrainConfig:
@@ -34,7 +37,9 @@ class TrainConfig:
 class OptimConfig:
     """Adam, its learning rate decaying exponentially to `decay` times the first.
 
-    ema: decay of the moving average of the weights that is evaluated and saved; 0 switches it off.
+    decay: None makes it 1 / (1 + steps / 1000), of the steps of the whole run: a tenth, as in the authors' program, after 9000,
+    and more in a run that is too short to settle. ema: decay of the moving average of the weights that is evaluated and
+    saved; 0 switches it off.
 
     One step moves a weight by about lr (1 - beta1) / sqrt((1 - beta2) (1 - beta1^2 / beta2)) at most, 2.4 lr by default
     (by Cauchy and Schwarz), whatever the gradients were, if beta1^2 < beta2. Hence this is demanded, and a limit to
@@ -45,7 +50,7 @@ class OptimConfig:
     beta1: float = 0.9
     beta2: float = 0.99
     eps: float = 1e-15
-    decay: float = 0.3
+    decay: float | None = None
     ema: float = 0.95
 
     def __post_init__(self) -> None:
@@ -56,3 +61,8 @@ class OptimConfig:
             raise NerfregError(
                 f"optim.beta1={self.beta1}: its square must be below optim.beta2={self.beta2}, or steps have no limit"
             )
+
+    def rate(self, fraction: float, steps: int) -> float:
+        """The learning rate when that share is spent of a budget that has so many steps."""
+        last = 1 / (1 + steps / HALVED) if self.decay is None else self.decay
+        return self.lr * last**fraction

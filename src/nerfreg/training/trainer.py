@@ -98,7 +98,7 @@ class Trainer:
     def _apply(self, step: Step) -> None:
         # Nothing has to be looked at after this: see OptimConfig for why Adam makes finite weights of such gradients.
         for group in self.optimizer.param_groups:
-            group["lr"] = self.optim.lr * self.optim.decay**step.fraction
+            group["lr"] = self.optim.rate(step.fraction, step.total)
         self.optimizer.step()
         self.average.update()
 
