@@ -37,9 +37,9 @@ class TrainConfig:
 class OptimConfig:
     """Adam, its learning rate decaying exponentially to `decay` times the first.
 
-    decay: None makes it 1 / (1 + steps / 1000), of the steps of the whole run: a tenth, as in the authors' program, after 9000,
-    and more in a run that is too short to settle. ema: decay of the moving average of the weights that is evaluated and
-    saved; 0 switches it off.
+    decay: None makes it 1 / (1 + steps / 1000), of the steps of the whole run: a tenth after 9000, as in the authors'
+    program, and more in a run that is too short to settle. ema: decay of the moving average of the weights that is
+    evaluated and saved; 0 switches it off.
 
     One step moves a weight by about lr (1 - beta1) / sqrt((1 - beta2) (1 - beta1^2 / beta2)) at most, 2.4 lr by default
     (by Cauchy and Schwarz), whatever the gradients were, if beta1^2 < beta2. Hence this is demanded, and a limit to
