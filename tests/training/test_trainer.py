@@ -77,6 +77,15 @@ def test_the_learning_rate_decays_with_the_budget(make: Callable[..., Trainer]) 
     assert trainer.optimizer.param_groups[0]["lr"] == pytest.approx(0.001)  # half of the budget: 0.01^(1/2)
 
 
+def test_the_learning_rate_falls_by_the_steps_of_the_run(make: Callable[..., Trainer]) -> None:
+    trainer = make("train.steps=3000", "optim.lr=0.01")
+    trainer.budget.step = 1500
+    trainer.step()
+    assert trainer.optimizer.param_groups[0]["lr"] == pytest.approx(
+        0.005
+    )  # to a quarter: half of it after half of them
+
+
 def test_the_color_error_by_hand(rendering: Callable[..., Rendering]) -> None:
     made = rendering(torch.ones(3))  # black
     made.rays.targets = torch.tensor([[1.0, 0.0, 0.5], [0.0, 0.0, 0.3]])  # the third ray has none
