@@ -133,6 +133,18 @@ def test_published_numbers_are_level_lines_with_names(tmp_path: Path) -> None:
     assert ">30.0<" in text
 
 
+def test_axes_reach_what_was_published_where_names_of_methods_have_set_them(tmp_path: Path) -> None:
+    runs = [
+        run(score(1.0, 10.0, average=0.3), score(10.0, 20.0, average=0.2 + 0.001 * k), method=f"method_{k}")
+        for k in range(30)
+    ]
+    styles = method_styles(runs)
+    assert any(style.faint for style in styles.values())
+    paper = [PaperRow("llff", 3, "fern", "other", 30.0, 0.999, 0.002, None)]
+    text = draw_curves(runs, styles, "fern, 3 views", tmp_path / "curves", paper)[1].read_text()
+    assert ">0.05<" in text and ">30.0<" in text
+
+
 def test_without_runs_that_are_scored_nothing_published_is_drawn(tmp_path: Path) -> None:
     runs = [run(complete=False)]
     paper = [PaperRow("llff", 3, "fern", "vanilla", 17.79, 0.509, 0.402, None)]

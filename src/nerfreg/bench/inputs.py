@@ -18,7 +18,9 @@ from nerfreg.rendering.renderer import MIN_WEIGHT
 PATCH = 4
 """Side of the square patches that the rays form; the rays of a patch share their t."""
 KNOWN = 0.05
-"""Half of what is known of a surface's place, as a share of near to far; of every fourth ray nothing is."""
+"""Half of what is known of a surface's place, as a share of near to far."""
+UNKNOWN = 4
+"""Of every ray with a multiple of this number nothing is known."""
 
 
 @dataclass(frozen=True)
@@ -47,7 +49,7 @@ class Input:
         density = tau / (places.diff(dim=1) * (self.far - self.near))
         t_edges = (self.near + places * (self.far - self.near)).to(dtype)
         known = torch.cat([surface - KNOWN, surface + KNOWN], dim=1)
-        known[::PATCH] = math.nan
+        known[::UNKNOWN] = math.nan
         known_depth = (self.near + known * (self.far - self.near)).to(dtype)
         return _rendering(density.to(dtype), t_edges, known_depth, patches, generator)
 

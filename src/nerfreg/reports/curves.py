@@ -162,16 +162,21 @@ def _draw_panel(
 
 
 def _draw_published(panel: Axes, published: Sequence[PaperRow], metric: Metric) -> None:
-    """A level line for each row. Names stand above it on the left, those of lines too close for that together."""
+    """A level line for each row. Names stand above it on the left, those of lines too close for that together.
+
+    The axis grows to show them all.
+    """
     known = sorted(
         (value, row.method) for row in map(with_average, published) if (value := getattr(row, metric)) is not None
     )
-    if not panel.get_xticks().size:
+    if not panel.get_xticks().size or not known:
         return
     for value, _ in known:
         panel.axhline(value, color=GUIDE, linewidth=0.7, linestyle=(0, (1, 1.5)), zorder=1)
     low, high = panel.get_ylim()
-    room = PUBLISHED_LINE / (72 * PANEL[1]) * (high - low)
+    lowest, highest = known[0][0], known[-1][0]
+    room = PUBLISHED_LINE / (72 * PANEL[1]) * (max(high, highest) - min(low, lowest))
+    panel.set_ylim(min(low, lowest - room / 2), max(high, highest + room))
     names: list[str] = []
     for index, (value, method) in enumerate(known):
         names.insert(0, method)
