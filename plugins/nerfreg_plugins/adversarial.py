@@ -71,14 +71,14 @@ class Adversarial(Regularizer):
     their activation. steps: PGD steps from 0. step_size: relative to the radius.
     """
 
-    # Published values belong to other encodings. These move a point by less than a coarse grid cell, a direction by
-    # half a degree, density by 5 % and colour by about 1 %.
-    positions: float = 1e-3
-    directions: float = 1e-2
-    t: float = 1e-3
-    features: float = 1e-2
-    sigma: float = 0.05
-    rgb: float = 0.05
+    # Published values belong to other encodings. These move a point by less than a cell of the finest grid level: all
+    # samples move against the image at once, and where they can change cells, nothing but fog survives.
+    positions: float = 1e-4
+    directions: float = 1e-3
+    t: float = 1e-4
+    features: float = 1e-3
+    sigma: float = 5e-3
+    rgb: float = 5e-3
     steps: int = 1
     step_size: float = 1.0
 

@@ -40,6 +40,14 @@ def test_every_preset_and_plugin_trains(make: Callable[..., Trainer]) -> None:
         assert all(torch.isfinite(p).all() for p in after)
 
 
+def test_the_worst_small_perturbation_lets_a_field_learn(make: Callable[..., Trainer]) -> None:
+    fine = ("scene.size=48", "train.rays=256", "field.levels=16", "field.finest=1024", "field.log2_entries=15")
+    alone, perturbed = (
+        color_errors(make(*fine, "train.steps=200", *reg), 200)[-20:] for reg in ((), ("+reg=adversarial",))
+    )
+    assert sum(perturbed) < 1.3 * sum(alone)
+
+
 def test_the_same_seed_gives_the_same_weights(make: Callable[..., Trainer]) -> None:
     def weights(seed: int) -> torch.Tensor:
         trainer = make("+reg=combinerf", f"seed={seed}")
