@@ -89,9 +89,8 @@ def test_the_learning_rate_falls_by_the_steps_of_the_run(make: Callable[..., Tra
     trainer = make("train.steps=3000", "optim.lr=0.01")
     trainer.budget.step = 1500
     trainer.step()
-    assert trainer.optimizer.param_groups[0]["lr"] == pytest.approx(
-        0.005
-    )  # to a quarter: half of it after half of them
+    # 3000 steps end at a quarter, so that half of them are at the square root of that.
+    assert trainer.optimizer.param_groups[0]["lr"] == pytest.approx(0.005)
 
 
 def test_the_color_error_by_hand(rendering: Callable[..., Rendering]) -> None:

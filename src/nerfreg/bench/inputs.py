@@ -20,7 +20,7 @@ PATCH = 4
 KNOWN = 0.05
 """Half of what is known of a surface's place, as a share of near to far."""
 UNKNOWN = 4
-"""Of every ray with a multiple of this number nothing is known."""
+"""Of one ray in so many nothing is known."""
 
 
 @dataclass(frozen=True)
