@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Generator
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar, no_type_check
@@ -13,6 +14,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from nerfreg import Regularizer, Rendering, Samples, Step, hookimpl
+from nerfreg.errors import require_range
 from nerfreg.field.layers import AffineLayer, shifted
 from nerfreg.numerics import exact
 
@@ -90,6 +92,7 @@ class Adversarial(Regularizer):
 }"""
 
     def __post_init__(self) -> None:
+        require_range("reg.adversarial", self, **dict.fromkeys(TARGETS, (0.0, math.inf)))
         self._layers: dict[str, Perturbed] = {}
         self._deltas: dict[str, Tensor] = {}
 

@@ -7,6 +7,7 @@ import torch
 from nerfreg_plugins.adversarial import Adversarial, Perturbed, pgd_step
 
 from nerfreg import Rendering, Samples, Step
+from nerfreg.errors import NerfregError
 from nerfreg.field.layers import Linear
 from nerfreg.registry import Hooks
 
@@ -201,3 +202,8 @@ def test_targets_that_the_colour_does_not_depend_on_do_no_harm(rendering):
     _, step = scene(plugin, lambda s: s.t.expand(-1, 3))
     term = plugin.nerfreg_loss(rendering(torch.ones(2, 1)), step)["adversarial"]
     assert term.item() == pytest.approx((4 + 0.01 * LENGTH) ** 2)
+
+
+def test_a_radius_below_0_is_refused() -> None:
+    with pytest.raises(NerfregError, match="positions"):
+        Adversarial(positions=-1.0)
