@@ -49,7 +49,7 @@ class DepthSmoothness(Regularizer):
 
     Depth is normalised to [0, 1] between the scene's near and far. patch_size: side of the patches in pixels.
     patch_fraction: share of the training rays in patches. reduction: `sum` over a patch, or `mean` over its
-    (S-1)^2 pixels. opacity_weighted: each term times the opacity of its pixel, which gets no gradient from it.
+    (S-1)^2 pixels. opacity_weighted: each term times the opacity of its pixel.
     """
 
     weight: float = 0.1
@@ -76,7 +76,7 @@ class DepthSmoothness(Regularizer):
         patches = rendering.rays.patches
         if patches is None:
             return {}
-        opacity = rendering.opacity.detach()[patches] if self.opacity_weighted else None
+        opacity = rendering.opacity[patches] if self.opacity_weighted else None
         # Normalised after the differences are taken: depths far from the origin would lose theirs by rounding.
         term = depth_smoothness(rendering.depth[patches], rendering.visible[patches], opacity)
         return {"depth_smoothness": term * self._factor(patches.shape[-1], step)}

@@ -98,6 +98,14 @@ def test_loss(rendering, step, finite_gradients, options, expected):
     finite_gradients(term, made.tau)
 
 
+def test_opacity_as_a_factor_has_a_gradient(rendering, step):
+    # More in the only interval of ray 0 that holds anything leaves its depth, and adds exp(-tau) = 1/2 to its opacity.
+    made = patch_of_four(rendering)
+    term = DepthSmoothness(opacity_weighted=True).nerfreg_loss(made, step())["depth_smoothness"]
+    [gradient] = torch.autograd.grad(term, made.tau)
+    assert gradient[0, 0].item() == pytest.approx((1 / 4 + 1 / 36) / 2)
+
+
 def test_mean_divides_by_the_pixels_that_start_terms(rendering, step):
     tau = torch.rand(16, 3, generator=torch.Generator().manual_seed(0)) + 0.1
     made = rendering(tau, patches=torch.arange(16).reshape(1, 4, 4))

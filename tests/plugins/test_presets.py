@@ -98,6 +98,9 @@ def test_options_that_presets_change():
     program = composed("+reg=combinerf_program")
     assert (program["kl"].direction, program["kl"].weight) == ("reverse", 1e-5)
     assert (program["distortion"].max_rays, program["full_geometry"].start) == (250, 0.1)
+    for layout, masked in (("forward", {"color"}), ("orbit", {"density", "color"})):
+        mask = composed("+reg=combinerf_program", f"scene.layout={layout}")["encoding_mask"]
+        assert (set(mask.networks), mask.initial, mask.fractional) == (masked, 0.1, True)
 
 
 @pytest.mark.parametrize(
