@@ -42,7 +42,7 @@ class Distortion(Regularizer):
     """Weights of a ray gather in one place; relative to its depth (Mip-NeRF 360, CombiNeRF).
 
     detach_depth: no gradient through the divisor. max_rays: how many rays, chosen at random, count in a step (0: all).
-    unit_depth: divide by depth in [0, 1] between the scene's bounds, plus 1e-4, instead of world units.
+    unit_depth: divide by the sum of w t, t in [0, 1] between the scene's bounds, plus 1e-4: what is faint costs more.
     drop_last: leave out the last interval.
     """
 
@@ -70,14 +70,14 @@ class Distortion(Regularizer):
         self, rendering: Rendering, step: Step
     ) -> tuple[Float[Tensor, "rays samples"], Float[Tensor, "rays edges"], Float[Tensor, " rays"]]:
         weights, t_edges, depth = rendering.weights, rendering.t_edges, rendering.depth
+        if self.unit_depth:
+            near, far = step.bounds
+            depth = rendering.opacity * (depth - near) / (far - near) + 1e-4
         if 0 < self.max_rays < len(weights):
             chosen = torch.randperm(len(weights), generator=step.generator)[: self.max_rays].to(weights.device)
             weights, t_edges, depth = weights[chosen], t_edges[chosen], depth[chosen]
         if self.drop_last:
             weights, t_edges = weights[:, :-1], t_edges[:, :-1]
-        if self.unit_depth:
-            near, far = step.bounds
-            depth = (depth - near) / (far - near) + 1e-4
         if self.detach_depth:
             depth = depth.detach()
         return weights, t_edges, depth

@@ -140,9 +140,11 @@ def test_loss_with_the_depth_detached(rendering, step):
 
 
 def test_loss_as_in_the_authors_program(rendering, step):
-    # Bounds 2 and 6: depth becomes (d - 2) / 4 + 1e-4; the last interval is left out.
+    # Bounds 2 and 6: depth becomes the sum of w (m - 2) / 4, and 1e-4; the last interval is left out.
     made = two_rays(rendering)
-    expected = all_pairs(made.weights[:, :-1], made.t_edges[:, :-1], (made.depth - 2) / 4 + 1e-4)
+    middles = (made.t_edges[:, :-1] + made.t_edges[:, 1:]) / 2
+    depth = (made.weights * (middles - 2) / 4).sum(dim=1) + 1e-4
+    expected = all_pairs(made.weights[:, :-1], made.t_edges[:, :-1], depth)
     terms = Distortion(unit_depth=True, drop_last=True).nerfreg_loss(made, step())
     torch.testing.assert_close(terms["distortion"], expected)
 
