@@ -38,6 +38,8 @@ from nerfreg.reports.methods import method_of
         ),
         (["scene.near=0.5"], {"scene.near": 0.5}, "vanilla, scene.near=0.5"),
         (["+reg=combinerf", "~reg.kl"], {}, "combinerf, ~reg.kl"),
+        # Hydra's sweeper writes it so.
+        (["+reg=combinerf", "~reg.kl=null"], {}, "combinerf, ~reg.kl"),
         (["+reg=combinerf", "sampler=importance", "name=ours"], {"name": "ours"}, "ours"),
     ],
 )  # fmt: skip
