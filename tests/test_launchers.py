@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 import time
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -55,8 +56,16 @@ def test_interrupt_leaves_whole_runs_whole(launcher: str, tmp_path: Path, enviro
         choice = LAUNCHERS["joblib"][1]
     # one job ends after two steps; the other would go on for an hour
     words = ["train.seconds=3600", "train.steps=2,null", *choice, *TINY[:5], *TINY[6:], "train.quiet=true"]
+    # What a shell starts in the background ignores Ctrl-C, and hands that on.
+    listening = partial(signal.signal, signal.SIGINT, signal.SIG_DFL)
     sweep = subprocess.Popen(
-        command(*words), cwd=tmp_path, env=environment, stdout=subprocess.PIPE, text=True, start_new_session=True
+        command(*words),
+        cwd=tmp_path,
+        env=environment,
+        stdout=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+        preexec_fn=listening,
     )
     try:
         deadline = time.monotonic() + 120
