@@ -55,7 +55,7 @@ def _parts(overrides: Sequence[str], settings: Mapping[str, object]) -> list[str
     others: dict[str, str] = {}
     for override in overrides:
         key, equals, value = override.lstrip("+").partition("=")
-        if key.startswith("~"):  # what it had to be to be left out
+        if key.startswith("~"):  # deleted, whatever its value was
             equals = value = ""
         if key == "reg" and equals:
             chosen = "+".join(sorted(part.strip(" '\"") for part in value.strip("[]").split(","))) or VANILLA
