@@ -14,7 +14,7 @@ import nerfreg
 from nerfreg.hooks import Needs, Regularizer
 
 SOURCE = Path(nerfreg.__file__).parent
-ROOMS = ("scenes", "rays", "field", "rendering", "training", "evaluation", "reports", "stability", "bench", "prune")
+ROOMS = ("scenes", "rays", "field", "rendering", "training", "evaluation", "reports", "checks", "bench", "prune")
 """In the order in which data passes through them."""
 
 
@@ -46,7 +46,7 @@ def test_rooms_do_not_know_the_command_line() -> None:
     # the benches and the study compose configurations themselves, as runs do
     for room in ROOMS[: ROOMS.index("bench")]:
         for path in (SOURCE / room).rglob("*.py"):
-            assert not imported(path) & {"nerfreg.cli", "nerfreg.launch", "nerfreg.config", "nerfreg.runs"}, path
+            assert not imported(path) & {"nerfreg.cli", "nerfreg.cli.launch", "nerfreg.config", "nerfreg.runs"}, path
 
 
 def test_package_is_imported_without_torch(environment: dict[str, str]) -> None:

@@ -15,7 +15,7 @@ from hydra.core.global_hydra import GlobalHydra
 from hydra.errors import HydraException
 from omegaconf import OmegaConf
 
-from nerfreg.config import plugin_schema, register
+from nerfreg.config.schema import plugin_schema, register
 from nerfreg.errors import NerfregError
 from nerfreg.hooks import Regularizer
 

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from nerfreg.config import Config
+from nerfreg.config.schema import Config
 from nerfreg.errors import NerfregError
 from nerfreg.prune.preset import changed_settings, preset_name, preset_path, write_preset
 

@@ -8,11 +8,11 @@ import random
 import pytest
 from rich.console import Console
 
+from nerfreg.analysis.statistics import Interval
 from nerfreg.prune.ledger import Ledger, Measurement
 from nerfreg.prune.plan import Design, Trial, make_folds, make_ladder
 from nerfreg.prune.record import record
 from nerfreg.prune.report import conclusions, duration, ends, print_report
-from nerfreg.prune.statistics import Interval
 from nerfreg.prune.study import Study
 from nerfreg.prune.summary import Summary, set_points
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from nerfreg import Regularizer
-from nerfreg.config import Config
+from nerfreg.config.schema import Config
 from nerfreg.errors import NerfregError
 from nerfreg.prune.plan import Cell, Trial
 from nerfreg.prune.trials import Trials, in_share, usual_time

@@ -4,8 +4,8 @@ import math
 
 import pytest
 
+from nerfreg.analysis.statistics import Interval
 from nerfreg.prune.plan import Comparison, Context, Design
-from nerfreg.prune.statistics import Interval
 from nerfreg.prune.verdicts import Finding, Verdict, judge, proposals
 
 HELPS, HURTS, NOTHING, UNKNOWN = (0.5, 1.0), (-1.0, -0.5), (-0.05, 0.05), (-0.5, 0.5)

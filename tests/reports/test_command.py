@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 from nerfreg.cli import main
+from nerfreg.cli.report import ReportOptions, parse_report_options
 from nerfreg.errors import NerfregError
-from nerfreg.reports.command import ReportOptions, parse_report_options
 
 PAPER = "dataset,views,scene,method,psnr,ssim,lpips,average\nllff,3,fern,vanilla,17.79,0.509,0.402,\n"
 

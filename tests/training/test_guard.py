@@ -12,11 +12,11 @@ import torch
 from torch import Tensor, nn
 
 from nerfreg.cli import main
-from nerfreg.config import Config
+from nerfreg.config.schema import Config
 from nerfreg.errors import NonFiniteError
 from nerfreg.field import RadianceField
 from nerfreg.registry import Hooks
-from nerfreg.replay import replay
+from nerfreg.runs.replay import replay
 from nerfreg.scenes import load_scene
 from nerfreg.training.checkpoint import load_checkpoint
 from nerfreg.training.faults import usable

@@ -8,11 +8,11 @@ from dataclasses import replace
 import hydra
 from hydra import initialize_config_dir
 
-from nerfreg.config import Config, own_folder, register, validated
+from nerfreg.config.explain import COMPOSITION_ERRORS, check_overrides, explain
+from nerfreg.config.schema import Config, own_folder, register, validated
 from nerfreg.errors import NerfregError
-from nerfreg.explain import COMPOSITION_ERRORS, check_overrides, explain
 from nerfreg.registry import Hooks, Term
-from nerfreg.runs import prepare
+from nerfreg.runs.train import prepare
 from nerfreg.scenes.scene import Scene
 from nerfreg.training.trainer import Trainer
 

@@ -15,8 +15,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from nerfreg.analysis.tables import Outcome, write_csv
 from nerfreg.bench.inputs import INPUTS, Input
-from nerfreg.bench.results import Outcome, write_csv
 from nerfreg.bench.rivals import RIVALS
 from nerfreg.bench.timing import median_seconds
 from nerfreg.errors import NerfregError

@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING
 
 from rich.console import Console
 
+from nerfreg.analysis.figures import GUIDE, Style, panels, save, slope, styles
+from nerfreg.analysis.tables import new_table
 from nerfreg.bench.inputs import INPUTS
 from nerfreg.bench.losses import PLUGIN, Point, Sizes
-from nerfreg.bench.plots import GUIDE, Style, panels, save, slope, styles
-from nerfreg.bench.results import new_table
 from nerfreg.bench.rivals import RIVALS
 from nerfreg.bench.timing import CONDITIONS
 

@@ -18,10 +18,10 @@ import torch
 from rich.console import Console
 from torch import Tensor, nn
 
+from nerfreg.analysis.tables import Outcome, write_csv
 from nerfreg.bench.configured import TINY, compose, make_trainer, prepare_cpu, step_at
-from nerfreg.bench.results import Outcome, write_csv
 from nerfreg.bench.timing import in_turns, spread
-from nerfreg.config import options
+from nerfreg.config.schema import options
 from nerfreg.errors import NerfregError
 from nerfreg.field.layers import Linear
 from nerfreg.hooks import Needs, Rays, Rendering, Samples, Step

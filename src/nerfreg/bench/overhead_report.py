@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING
 
 from rich.console import Console
 
+from nerfreg.analysis.figures import GUIDE, PALETTE, panels, save
+from nerfreg.analysis.tables import new_table
 from nerfreg.bench.overhead import CORE, NO_MANAGER, PLUGIN, PRESET, Point, Sizes
-from nerfreg.bench.plots import GUIDE, PALETTE, panels, save
-from nerfreg.bench.results import new_table
-from nerfreg.config import Config
+from nerfreg.config.schema import Config
 from nerfreg.field.workers import threads
 
 if TYPE_CHECKING:

@@ -15,8 +15,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from nerfreg.analysis.tables import Outcome, write_csv
 from nerfreg.bench.media import MEDIA, Medium, color, exact
-from nerfreg.bench.results import Outcome, write_csv
 from nerfreg.bench.samplers import SAMPLERS, Bundle, Sampled
 from nerfreg.bench.timing import median_seconds
 from nerfreg.rendering.compositing import composite

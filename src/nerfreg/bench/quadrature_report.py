@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING
 
 from rich.console import Console
 
+from nerfreg.analysis.figures import Style, panels, save, slope, styles
+from nerfreg.analysis.tables import new_table
 from nerfreg.bench.media import MEDIA, Medium
-from nerfreg.bench.plots import Style, panels, save, slope, styles
 from nerfreg.bench.quadrature import QUANTITIES, Point, Sizes, first_below, fitted_order
-from nerfreg.bench.results import new_table
 from nerfreg.bench.samplers import CELLS
 from nerfreg.bench.timing import CONDITIONS
 

@@ -11,13 +11,13 @@ from typing import Any
 
 from rich.console import Console
 
-from nerfreg.bench.results import Outcome, new_table, write_record
+from nerfreg.analysis.tables import Outcome, new_table, write_record
 from nerfreg.bench.timing import spread
 from nerfreg.field import RadianceField
 from nerfreg.field.workers import threads
 from nerfreg.rendering.config import SamplerConfig
 from nerfreg.rendering.views import ViewRenderer
-from nerfreg.runs import load_run
+from nerfreg.runs.train import load_run
 from nerfreg.scenes import Scene
 from nerfreg.training.memory import peak_memory_mb
 

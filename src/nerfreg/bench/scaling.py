@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 from rich.console import Console
 
+from nerfreg.analysis.figures import PALETTE, panels, save
+from nerfreg.analysis.tables import Outcome, new_table, write_csv
 from nerfreg.bench.configured import TINY, compose, make_trainer, prepare_cpu, step_at
-from nerfreg.bench.plots import PALETTE, panels, save
-from nerfreg.bench.results import Outcome, new_table, write_csv
 from nerfreg.bench.timing import in_turns, spread
-from nerfreg.config import Config
+from nerfreg.config.schema import Config
 from nerfreg.field.workers import threads
 from nerfreg.scenes import load_scene
 from nerfreg.training.memory import keep_large_blocks

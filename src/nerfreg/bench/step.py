@@ -10,12 +10,12 @@ from typing import Any
 
 from torch import Tensor
 
+from nerfreg.analysis.tables import Outcome, write_record
 from nerfreg.bench.ceilings import Ceilings, measure_ceilings, step_flop
 from nerfreg.bench.configured import TINY, compose, make_trainer, prepare_cpu, step_at
 from nerfreg.bench.parts import measure_parts, replaced
-from nerfreg.bench.results import Outcome, write_record
 from nerfreg.bench.timing import Spread, in_turns, spread
-from nerfreg.config import Config
+from nerfreg.config.schema import Config
 from nerfreg.field.fit import fitted
 from nerfreg.field.workers import threads
 from nerfreg.scenes import load_scene

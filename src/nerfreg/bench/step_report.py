@@ -5,8 +5,8 @@ from __future__ import annotations
 from rich.console import Console
 from rich.table import Table
 
+from nerfreg.analysis.tables import new_table
 from nerfreg.bench.parts import BACKWARD, REST
-from nerfreg.bench.results import new_table
 from nerfreg.bench.step import Measured
 
 

@@ -10,7 +10,7 @@ import torch
 from jaxtyping import Float, UInt8
 from torch import Tensor
 
-from nerfreg.evaluation.files import atomic
+from nerfreg.files import atomic
 
 ERROR_RANGE = 0.5
 """Mean absolute colour error shown as the brightest."""

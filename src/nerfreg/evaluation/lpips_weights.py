@@ -17,7 +17,7 @@ import torch
 from safetensors.torch import save_file
 
 from nerfreg.errors import NerfregError
-from nerfreg.evaluation.files import atomic
+from nerfreg.files import atomic
 
 log = logging.getLogger(__name__)
 

@@ -12,8 +12,8 @@ from jaxtyping import Float
 from torch import Tensor
 
 from nerfreg.errors import NerfregError
-from nerfreg.evaluation.files import atomic
 from nerfreg.evaluation.images import to_uint8
+from nerfreg.files import atomic
 
 
 def write_video(path: Path, frames: Iterable[Float[Tensor, "height width 3"]], fps: int | float = 30) -> None:

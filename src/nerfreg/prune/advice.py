@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 
+from nerfreg.analysis.statistics import cells_needed
 from nerfreg.prune.ledger import Ledger
 from nerfreg.prune.plan import Design, Selection, Trial
-from nerfreg.prune.statistics import cells_needed
 from nerfreg.prune.study import CONTRIBUTIONS_SHARE, Confirmation, Outcome
 from nerfreg.prune.verdicts import Finding, Verdict
 

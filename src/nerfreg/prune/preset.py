@@ -10,9 +10,9 @@ from typing import Any
 import yaml
 from omegaconf import OmegaConf
 
-from nerfreg.config import Config, options
+from nerfreg.config.schema import Config, options
 from nerfreg.errors import NerfregError
-from nerfreg.evaluation.files import atomic
+from nerfreg.files import atomic
 from nerfreg.hooks import Regularizer
 from nerfreg.prune.plan import Selection
 from nerfreg.registry import installed

@@ -8,10 +8,10 @@ from statistics import fmean
 from rich.console import Console
 from rich.table import Table
 
-from nerfreg.bench.results import new_table
+from nerfreg.analysis.statistics import ERROR, Interval
+from nerfreg.analysis.tables import new_table
 from nerfreg.prune.advice import cells_to_judge
 from nerfreg.prune.plan import Context, Design
-from nerfreg.prune.statistics import ERROR, Interval
 from nerfreg.prune.study import Confirmation
 from nerfreg.prune.summary import Summary, set_points
 from nerfreg.prune.verdicts import Finding, Verdict

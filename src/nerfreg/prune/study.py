@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
+from nerfreg.analysis.statistics import Interval, error_of_look, interval
 from nerfreg.prune.ledger import Ledger
 from nerfreg.prune.plan import Cell, Comparison, Context, Design, Selection, Trial
-from nerfreg.prune.statistics import Interval, error_of_look, interval
 from nerfreg.prune.verdicts import Finding, Verdict, judge, proposals
 
 CONTRIBUTIONS_SHARE = 2 / 3

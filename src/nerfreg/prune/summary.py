@@ -5,12 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from statistics import fmean
 
+from nerfreg.analysis.pareto import front
+from nerfreg.analysis.statistics import ERROR, Interval, interval
 from nerfreg.prune.advice import budget_needed
 from nerfreg.prune.ledger import Ledger
 from nerfreg.prune.plan import Design, Selection
-from nerfreg.prune.statistics import ERROR, Interval, interval
 from nerfreg.prune.study import Outcome
-from nerfreg.reports.pareto import front
 
 
 @dataclass(frozen=True)

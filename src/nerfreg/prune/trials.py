@@ -14,7 +14,7 @@ from statistics import fmean, median
 
 from torch import Tensor
 
-from nerfreg.config import Config
+from nerfreg.config.schema import Config
 from nerfreg.errors import NerfregError, NonFiniteError
 from nerfreg.evaluation.lpips import load_lpips
 from nerfreg.evaluation.scores import Scores, score_views
@@ -23,7 +23,7 @@ from nerfreg.prune.ledger import Measurement
 from nerfreg.prune.plan import Selection, Trial
 from nerfreg.registry import Hooks
 from nerfreg.rendering.views import ViewRenderer
-from nerfreg.runs import prepare
+from nerfreg.runs.train import prepare
 from nerfreg.scenes import Scene, load_scene
 from nerfreg.training.guard import Guard
 from nerfreg.training.memory import keep_large_blocks

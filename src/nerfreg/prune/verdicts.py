@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import StrEnum
 
+from nerfreg.analysis.statistics import Interval
 from nerfreg.prune.plan import Comparison, Context, Design, Selection
-from nerfreg.prune.statistics import Interval
 
 
 class Verdict(StrEnum):

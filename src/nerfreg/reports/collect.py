@@ -15,9 +15,9 @@ from typing import Any
 import yaml
 
 from nerfreg.errors import NerfregError
-from nerfreg.evaluation.outputs import FAILED, METRICS, RENDERS, RESULTS
 from nerfreg.reports.methods import distinguished, method_of, scenes_distinguished
 from nerfreg.reports.records import Evaluation, RunRecord
+from nerfreg.runs.files import FAILED, METRICS, RENDERS, RESULTS
 
 CONFIG, OVERRIDES = Path(".hydra", "config.yaml"), Path(".hydra", "overrides.yaml")
 OTHER_VERBS = ("cameras.png",)

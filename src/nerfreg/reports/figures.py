@@ -8,11 +8,11 @@ from functools import partial
 from pathlib import Path
 from typing import Literal
 
+from nerfreg.analysis.pareto import draw_pareto
 from nerfreg.reports.costs import draw_costs
 from nerfreg.reports.curves import draw_curves
 from nerfreg.reports.grouping import by_method, by_setting
 from nerfreg.reports.paper import PaperRow, published
-from nerfreg.reports.pareto import draw_pareto
 from nerfreg.reports.records import RunRecord
 from nerfreg.reports.style import COLORED, method_styles
 from nerfreg.reports.timing import costs

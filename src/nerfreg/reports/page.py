@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from nerfreg import __version__
-from nerfreg.evaluation.files import atomic
+from nerfreg.files import atomic
 from nerfreg.reports.axes import duration
 from nerfreg.reports.figures import Plot
 from nerfreg.reports.grouping import by_setting, slug

@@ -15,9 +15,9 @@ import numpy as np
 from jaxtyping import Float, UInt8
 
 from nerfreg.errors import NerfregError
-from nerfreg.evaluation.outputs import RENDERS, RESULTS
 from nerfreg.reports.grouping import Setting, by_method, by_setting
 from nerfreg.reports.records import RunRecord
+from nerfreg.runs.files import RENDERS, RESULTS
 
 SCALES = (0.1, 0.2, 0.3, 0.5, 1.0)
 """Mean absolute colour errors that the brightest colour may stand for."""

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from nerfreg.evaluation.files import atomic
+from nerfreg.files import atomic
 from nerfreg.reports.grouping import slug
 from nerfreg.reports.pictures import Comparison, Crop
 from nerfreg.reports.style import INK, PALETTE

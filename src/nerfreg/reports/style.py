@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from nerfreg.evaluation.files import atomic
+from nerfreg.files import atomic
 from nerfreg.reports.methods import VANILLA
 from nerfreg.reports.records import RunRecord
 from nerfreg.reports.statistics import ordered_methods

@@ -7,7 +7,7 @@ import re
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
-from nerfreg.evaluation.files import atomic
+from nerfreg.files import atomic
 from nerfreg.reports.grouping import Setting
 from nerfreg.reports.records import METRICS, RunRecord
 from nerfreg.reports.tables import Cell, Column, Row, Table

@@ -8,8 +8,8 @@ from collections.abc import Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 
-from nerfreg.evaluation.files import atomic
-from nerfreg.evaluation.outputs import FAILED
+from nerfreg.files import atomic
+from nerfreg.runs.files import FAILED
 
 
 def write_failure(folder: Path, error: BaseException, overrides: Sequence[str]) -> None:

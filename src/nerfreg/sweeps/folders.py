@@ -13,10 +13,10 @@ from typing import Any
 from omegaconf import DictConfig, OmegaConf
 from yaml import YAMLError
 
+from nerfreg.config.naming import digest, overrides_name, study_name
 from nerfreg.errors import NerfregError
-from nerfreg.evaluation.outputs import FAILED, METRICS, RENDERS
-from nerfreg.naming import digest, overrides_name, study_name
-from nerfreg.recording import FOLDER as RECORDED_STEPS
+from nerfreg.runs.files import FAILED, METRICS, RENDERS
+from nerfreg.runs.recording import FOLDER as RECORDED_STEPS
 from nerfreg.training.checkpoint import FOLDER as CHECKPOINT
 
 LEFT_OVER = (FAILED, METRICS, CHECKPOINT, RECORDED_STEPS, RENDERS)

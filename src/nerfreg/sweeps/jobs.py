@@ -13,8 +13,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from nerfreg.config import Config
-from nerfreg.evaluation.outputs import RESULTS
+from nerfreg.config.schema import Config
+from nerfreg.runs.files import RESULTS
 from nerfreg.sweeps.failures import in_one_line, write_failure
 from nerfreg.sweeps.folders import BusyError, claimed, clear
 from nerfreg.sweeps.journal import Entry, Journal, State

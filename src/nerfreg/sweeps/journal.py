@@ -10,7 +10,7 @@ from dataclasses import asdict, dataclass
 from enum import StrEnum
 from pathlib import Path
 
-from nerfreg.evaluation.files import atomic
+from nerfreg.files import atomic
 
 
 class State(StrEnum):

@@ -1,0 +1,174 @@
+"""`nerfreg prune [overrides] [options]`."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import shlex
+import sys
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from omegaconf import OmegaConf
+from rich.console import Console
+
+from nerfreg import __version__
+from nerfreg.analysis.tables import write_record
+from nerfreg.bench.configured import compose
+from nerfreg.config.schema import Config
+from nerfreg.errors import NerfregError
+from nerfreg.nearest import nearest
+from nerfreg.prune.ledger import CELLS, CellFile, Ledger
+from nerfreg.prune.plan import Design, make_folds, make_ladder
+from nerfreg.prune.preset import plain, preset_name, preset_path, write_preset
+from nerfreg.prune.record import record
+from nerfreg.prune.report import conclusions, print_report
+from nerfreg.prune.study import Study
+from nerfreg.prune.summary import Summary
+from nerfreg.prune.trials import Trials
+
+RECORD = "prune.json"
+
+
+@dataclass(frozen=True)
+class PruneOptions:
+    """overrides: those of `nerfreg train`. budget: seconds of the whole study. folds: of the training views; None:
+    up to four. steps: of the first trainings; None: a quarter of train.steps. tolerance: dB that count as nothing.
+    stride: of the rows and columns that are scored. name: of the preset. folder: where the files go."""
+
+    overrides: tuple[str, ...] = ()
+    budget: float = 3600.0
+    folds: int | None = None
+    steps: int | None = None
+    tolerance: float = 0.1
+    stride: int = 2
+    name: str | None = None
+    folder: Path | None = None
+
+
+def run(words: list[str]) -> int:
+    """Run a study, print what it found, and leave its files and the preset. Raises NerfregError for bad input."""
+    options = parse_prune_options(words)
+    console = Console(stderr=True)
+    config, full = _configuration(options)
+    trials = Trials(config, options.stride, lambda line: console.print(line, highlight=False, markup=False))
+    scene = trials.scene
+    path = preset_path(options.name or preset_name(scene.name))
+    folder = options.folder or Path("prune", plain(scene.name))
+    folds, ladder = make_folds(trials.views, options.folds), make_ladder(options.steps, config.train.steps)
+    design = Design(full, folds, ladder, config.seed)
+    measured = CellFile(folder, fingerprint(config, options.stride), trials)
+    ledger = Ledger(measured)
+    with console.status("", refresh_per_second=2) as status:
+        study = Study(design, ledger, options.budget, options.tolerance, _teller(console, status.update, config))
+        try:
+            outcome = study.run()
+        except KeyboardInterrupt:
+            print(f"{folder / CELLS} keeps what is measured; the same command goes on from there", file=sys.stderr)
+            raise
+    if measured.reused:
+        print(f"{measured.reused} of {len(ledger.trials)} trainings were found in {folder / CELLS}")
+    summary = Summary(scene.name, trials.views, design, ledger, outcome, options.tolerance, options.budget)
+    print_report(summary, Console())
+    command = ("nerfreg", "prune", *words)
+    layout_known = replace(config, scene=replace(config.scene, layout=scene.layout))
+    write_preset(path, layout_known, outcome.pruned, _comments(summary, command))
+    write_record(folder / RECORD, record(summary, command, str(path)))
+    print(path)
+    print(folder / RECORD)
+    others = [word for word in options.overrides if not word.lstrip("+").startswith("reg")]
+    print(f"nerfreg train {shlex.join([*others, f'+reg={path.stem}'])}")
+    return 0
+
+
+def parse_prune_options(words: Sequence[str]) -> PruneOptions:
+    """Read what follows `nerfreg prune`. Raises NerfregError naming the word at fault."""
+    given: dict[str, Any] = {}
+    overrides: list[str] = []
+    rest = list(words)
+    while rest:
+        word = rest.pop(0)
+        if word in READERS:
+            field, wanted, read = READERS[word]
+            if not rest or rest[0].startswith("--"):
+                raise NerfregError(f"{word} needs {wanted}")
+            given[field] = read(word, rest.pop(0))
+        elif word.startswith("-"):
+            raise NerfregError(f"prune: unknown option '{word}'; {nearest(word, READERS)}")
+        else:
+            overrides.append(word)
+    return PruneOptions(tuple(overrides), **given)
+
+
+def _count(option: str, word: str) -> int:
+    if not word.isdecimal() or int(word) == 0:
+        raise NerfregError(f"{option} {word}: must be a whole number, at least 1")
+    return int(word)
+
+
+def _positive(option: str, word: str) -> float:
+    try:
+        value = float(word)
+    except ValueError:
+        value = math.nan
+    if not (value > 0 and math.isfinite(value)):
+        raise NerfregError(f"{option} {word}: must be a positive number")
+    return value
+
+
+def _folder(option: str, word: str) -> Path:
+    if Path(word).exists() and not Path(word).is_dir():
+        raise NerfregError(f"{option} {word}: is a file; name a folder")
+    return Path(word)
+
+
+READERS: dict[str, tuple[str, str, Callable[[str, str], Any]]] = {
+    "--budget": ("budget", "the seconds that all of it may take", _positive),
+    "--folds": ("folds", "the number of folds of the training views", _count),
+    "--steps": ("steps", "the number of steps of the first trainings", _count),
+    "--tolerance": ("tolerance", "the dB that count as no difference", _positive),
+    "--stride": ("stride", "which rows and columns are scored: every N-th", _count),
+    "--name": ("name", "the name of the preset", lambda _, word: word),
+    "-o": ("folder", "a folder to write to", _folder),
+}
+
+
+def _configuration(options: PruneOptions) -> tuple[Config, tuple[str, ...]]:
+    """What `nerfreg train` would run, its first training view held out, and what is selected with a weight above 0."""
+    if taken := next((word for word in options.overrides if word.lstrip("+").startswith("scene.held_out=")), None):
+        raise NerfregError(f"{taken}: prune chooses itself which training views it holds out")
+    config = compose((*options.overrides, "scene.held_out=[0]"))
+    full = tuple(str(name) for name, plugin in config.reg.items() if plugin.weight != 0)
+    if not full:
+        raise NerfregError(
+            "nothing is selected that could be left out; add +reg=combinerf or a list, '+reg=[kl,entropy]'"
+        )
+    return config, full
+
+
+def fingerprint(config: Config, stride: int) -> str:
+    """Of all that a measurement depends on beside the trial."""
+    ignored = {"name": None, "seed": 0, "scene": replace(config.scene, held_out=None)}
+    quiet = replace(config.train, quiet=False)
+    content = OmegaConf.to_container(
+        OmegaConf.structured(replace(config, **ignored, train=quiet)), resolve=True, enum_to_str=True
+    )
+    text = json.dumps([__version__, stride, content], sort_keys=True, default=str)
+    return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+
+def _teller(console: Console, update: Callable[[str], None], config: Config) -> Callable[[str], None]:
+    """Where a line about every trial goes: onto one line of a terminal, else below each other."""
+    if config.train.quiet:
+        return lambda line: None
+    if console.is_terminal:
+        return update
+    return lambda line: console.print(line, highlight=False, markup=False, soft_wrap=True)
+
+
+def _comments(summary: Summary, command: Sequence[str]) -> list[str]:
+    full = "+".join(summary.design.full)
+    return [f"of {full} on {summary.scene} with {summary.views} views.", shlex.join(command), *conclusions(summary)]

@@ -1,0 +1,106 @@
+"""One line for each way in which a configuration can fail to compose."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Sequence
+
+from hydra.errors import HydraException, MissingConfigException, OverrideParseException
+from omegaconf.errors import ConfigAttributeError, ConfigKeyError, MissingMandatoryValue, OmegaConfBaseException
+from yaml import YAMLError
+
+from nerfreg.config.schema import options
+from nerfreg.errors import NerfregError
+from nerfreg.nearest import nearest
+from nerfreg.registry import PluginInfo
+
+COMPOSITION_ERRORS = (HydraException, OmegaConfBaseException, YAMLError)
+EXTRA = ("hydra/launcher", "hydra/sweeper")
+"""Groups whose choices come with packages that are not installed by default."""
+
+
+class Refused(BaseException):
+    """Carries a NerfregError past Hydra, which has something of its own to say about every Exception."""
+
+    def __init__(self, error: NerfregError) -> None:
+        super().__init__(str(error))
+        self.error = error
+
+
+def check_overrides(overrides: Sequence[str]) -> None:
+    """Refuse a second `+reg=`, which Hydra answers in terms of defaults lists."""
+    choices = [override.split("=", 1)[1].strip("[]") for override in overrides if re.match(r"\+*reg=", override)]
+    if len(choices) > 1:
+        raise NerfregError(f"reg is chosen {len(choices)} times; write one list: '+reg=[{','.join(choices)}]'")
+
+
+def explain(error: Exception, plugins: Sequence[PluginInfo], overrides: Sequence[str] = ()) -> str:
+    """What is wrong (file, key, value) and what to do about it, in one line."""
+    causes = list(_causes(error))
+    for cause in causes:
+        if isinstance(cause, (ConfigKeyError, ConfigAttributeError)):
+            return _where(error) + _unknown_key(cause, plugins)
+    for cause in causes:
+        if isinstance(cause, MissingMandatoryValue):
+            return f"{cause.full_key} has no value; add {cause.full_key}=..."
+        if isinstance(cause, OmegaConfBaseException) and cause.full_key:
+            return f"{_where(error)}{cause.full_key}: {_first_line(cause)}"
+    if isinstance(error, MissingConfigException):
+        return _unknown_choice(error, plugins)
+    if isinstance(error, OverrideParseException):
+        return f"cannot read '{error.override}': {_first_line(error)}; quote lists, as in '+reg=[kl,lipschitz]'"
+    text = str(error)
+    if match := re.match(r"Could not override '([\w/]+)'. No match in the defaults list", text):
+        override = next((word for word in overrides if word.startswith(f"{match[1]}=")), f"{match[1]}=...")
+        return f"{override}: no {match[1]} is chosen by default that this could replace; write +{override}"
+    if match := re.match(r"Ambiguous value for argument '(.*)=(.*)'", text):
+        key, values = match.groups()
+        return f"'{key}={values}' is several values; write '{key}=[{values}]' for a list, or -m to sweep over them"
+    return " ".join(text.split())
+
+
+def _causes(error: BaseException | None) -> Iterator[BaseException]:
+    while error is not None:
+        yield error
+        error = error.__cause__ or error.__context__
+
+
+def _first_line(error: BaseException) -> str:
+    return str(error).strip().partition("\n")[0].rstrip(".")
+
+
+def _where(error: BaseException) -> str:
+    """The config file that Hydra was reading, if it was reading one."""
+    match = re.match(r"In '([^']+)':", str(error))
+    return f"in {match[1]}.yaml: " if match else ""
+
+
+def _unknown_key(error: ConfigKeyError | ConfigAttributeError, plugins: Sequence[PluginInfo]) -> str:
+    full_key, key = str(error.full_key), str(error.key)
+    parent = full_key.removesuffix(key)
+    if parent == "reg.":
+        return _unselected(key, plugins)
+    known = [f"{parent}{name}" for name in error.parent_node or ()]
+    return f"unknown key '{full_key}'; {nearest(full_key, known)}"
+
+
+def _unselected(name: str, plugins: Sequence[PluginInfo]) -> str:
+    known = options("reg", plugins)
+    if name in known:
+        return f"reg.{name} is not selected; add +reg={name}"
+    return f"unknown plugin '{name}' in reg.{name}; {nearest(name, known)}"
+
+
+def _unknown_choice(error: MissingConfigException, plugins: Sequence[PluginInfo]) -> str:
+    missing = str(error.missing_cfg_file)
+    group, _, name = missing.rpartition("/")
+    if not group:
+        return f"no config file '{missing}.yaml' in the search path; nerfreg train --info searchpath shows it"
+    if group == "reg":
+        for plugin in plugins:
+            if plugin.name == name and plugin.error:
+                return f"plugin '{name}' of package {plugin.package}: {plugin.error}"
+        return f"unknown plugin or preset '{name}' in reg={name}; {nearest(name, options(group, plugins))}"
+    known = (option for option in error.options or options(group, plugins) if not option.endswith("_schema"))
+    extra = "; more come with pip install 'nerfreg[sweep]'" if group in EXTRA else ""
+    return f"unknown choice {group}={name}; {nearest(name, known)}{extra}"

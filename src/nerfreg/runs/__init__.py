@@ -1,0 +1,1 @@
+"""One run: its training, its folder, and what can be done with that afterwards."""

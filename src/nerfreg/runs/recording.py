@@ -1,0 +1,106 @@
+"""A step that could not be used, as a file: safetensors that need neither the scene nor the folder of the run."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from pathlib import Path
+
+import torch
+from jaxtyping import Float
+from omegaconf import DictConfig, OmegaConf
+from safetensors import SafetensorError, safe_open
+from safetensors.torch import save_file
+from torch import Tensor
+
+from nerfreg.config.saved import restored
+from nerfreg.config.schema import Config
+from nerfreg.errors import NerfregError
+from nerfreg.field import RadianceField
+from nerfreg.files import atomic
+from nerfreg.hooks import Rays
+from nerfreg.training.faults import Batch, Fault
+
+FORMAT = "nerfreg-step-1"
+FOLDER = "nonfinite"
+KEPT = 3
+
+
+@dataclass(frozen=True)
+class Recording:
+    """weights: those of the field before the step, by name. box: that of the scene. faults: what was not finite."""
+
+    config: Config
+    batch: Batch
+    weights: dict[str, Tensor]
+    box: Float[Tensor, "2 3"]
+    faults: tuple[str, ...]
+
+
+class Recorder:
+    """Saves steps of a run in RUN/nonfinite, each whole or not at all, and keeps the latest; clears older runs'."""
+
+    def __init__(self, run: Path, config: Config) -> None:
+        self._folder = run / FOLDER
+        self._config = config
+        self._drop_all_but(0)
+
+    def save(self, batch: Batch, field: RadianceField, box: Float[Tensor, "2 3"], faults: Sequence[Fault]) -> Path:
+        """Save one step, with the weights of the field as they are."""
+        path = self._folder / f"step_{batch.index:06d}.safetensors"
+        _write(path, self._config, batch, field.state_dict(), box, faults)
+        self._drop_all_but(KEPT)
+        return path
+
+    def _drop_all_but(self, count: int) -> None:
+        saved = sorted(self._folder.glob("step_*.safetensors"))
+        for path in saved[: max(len(saved) - count, 0)]:
+            path.unlink()
+
+
+def _write(
+    path: Path, config: Config, batch: Batch, weights: dict[str, Tensor], box: Tensor, faults: Sequence[Fault]
+) -> None:
+    rays = {f"rays.{name}": part for name, part in vars(batch.rays).items() if isinstance(part, Tensor)}
+    tensors = {**rays, **{f"field.{name}": tensor for name, tensor in weights.items()}}
+    tensors |= {"box": box, "chance": batch.chance}
+    step = {"index": batch.index, "total": batch.total, "fraction": batch.fraction, "bounds": batch.bounds}
+    metadata = {
+        "format": FORMAT,
+        "config": OmegaConf.to_yaml(OmegaConf.structured(config)),
+        "step": json.dumps(step),
+        "faults": json.dumps([fault.what for fault in faults]),
+    }
+    # Cloned, because rays may be views of one another, which the format does not know.
+    whole = {
+        name: tensor.detach().cpu().clone(memory_format=torch.contiguous_format) for name, tensor in tensors.items()
+    }
+    with atomic(path) as part:
+        save_file(whole, part, metadata)
+
+
+def load_recording(path: Path) -> Recording:
+    """Read such a file. Raises NerfregError for what is none, and where its plugins are not installed."""
+    if not path.is_file():
+        raise NerfregError(f"{path}: no such file; training saves steps that are not finite in RUN/nonfinite")
+    try:
+        with safe_open(path, "pt") as file:
+            metadata = file.metadata() or {}
+            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 (not a dictionary)
+    except (SafetensorError, OSError) as error:
+        raise NerfregError(f"{path}: cannot be read: {str(error).splitlines()[0]}") from error
+    if metadata.get("format") != FORMAT:
+        raise NerfregError(f"{path}: is no step that training saved (its format is not '{FORMAT}')")
+    saved = OmegaConf.create(metadata["config"])
+    assert isinstance(saved, DictConfig)
+    step = json.loads(metadata["step"])
+    rays = Rays(**{field.name: tensors.get(f"rays.{field.name}") for field in fields(Rays)})  # type: ignore[arg-type]
+    low, high = step["bounds"]
+    return Recording(
+        config=restored(saved, str(path)),
+        batch=Batch(rays, step["index"], step["total"], step["fraction"], (low, high), tensors["chance"]),
+        weights={name.removeprefix("field."): part for name, part in tensors.items() if name.startswith("field.")},
+        box=tensors["box"],
+        faults=tuple(json.loads(metadata["faults"])),
+    )

@@ -1,0 +1,213 @@
+"""Where configuration comes from and what becomes of it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from hydra.errors import ConfigCompositionException
+from omegaconf import DictConfig, OmegaConf
+
+from nerfreg import NerfregError
+from nerfreg.config.naming import run_name, slug
+from nerfreg.config.saved import read_run
+from nerfreg.config.schema import options, own_folder, register, user_folders
+from nerfreg.field import FieldConfig
+from nerfreg.scenes import Procedural
+
+GROUPS = ("field", "sampler", "optim", "eval", "reg")
+SHIPPED = [
+    f"{path.parent.name}={path.stem}" for group in GROUPS for path in sorted((own_folder() / group).glob("*.yaml"))
+]
+
+
+@pytest.mark.parametrize("choice", SHIPPED)
+def test_every_shipped_choice_composes(compose, choice: str) -> None:
+    compose(f"+{choice}" if choice.startswith("reg=") else choice)
+
+
+@pytest.mark.parametrize("path", sorted((own_folder() / "scene").glob("*.yaml")), ids=lambda path: path.stem)
+def test_every_shipped_scene_composes(compose, path: Path) -> None:
+    # a scene without a layout is asked for one, and there are no files here
+    assert compose(f"scene={path.stem}", "++scene.layout=orbit").scene.layout == "orbit"
+
+
+@pytest.mark.parametrize(
+    "path", sorted(own_folder().rglob("*.yaml")), ids=lambda path: f"{path.parent.name}/{path.stem}"
+)
+def test_every_shipped_file_says_what_it_is_for(path: Path) -> None:
+    assert path.read_text(encoding="utf-8").startswith("# ")
+
+
+@pytest.mark.parametrize(
+    ("name", "scene", "rays", "steps", "levels"),
+    [("paper_llff", "llff", 4096, 9000, 16), ("paper_synthetic", "blender", 7008, 10000, 32)],
+)
+def test_the_papers_settings(compose, name: str, scene: str, rays: int, steps: int, levels: int) -> None:
+    """Nothing is skipped: 64 + 128 samples, 2^19 entries to 2048, whatever the photographs could fill."""
+    config = compose(f"+experiment={name}", "+reg=combinerf")
+    assert config.scene.format == scene and config.scene.views == {"llff": 3, "blender": 8}[scene]
+    assert (config.train.rays, config.train.steps, config.train.seconds) == (rays, steps, None)
+    assert (config.sampler.coarse, config.sampler.fine) == (64, 128)
+    assert (config.field.levels, config.field.finest, config.field.log2_entries) == (levels, 2048, 19)
+    assert not config.field.fit
+    assert (config.optim.lr, config.optim.decay, config.optim.ema) == (1e-2, 0.1, 0.95)
+    assert compose(f"+experiment={name}", "train.steps=10", "scene.views=6").train.steps == 10
+
+
+def test_types_are_those_of_the_rooms(compose) -> None:
+    config = compose("field.levels=8")
+    assert isinstance(config.scene, Procedural)
+    assert isinstance(config.field, FieldConfig)
+    assert (config.field.levels, config.seed, config.name, config.reg) == (8, 0, None, {})
+
+
+@pytest.mark.parametrize("selection", ["distortion", "combinerf"])
+def test_plugin_defaults_follow_the_layout(compose, selection: str) -> None:
+    # DESIGN: 2e-5 for LLFF, which faces forward; 2e-3 for NeRF-Synthetic, which is orbited
+    assert compose(f"+reg={selection}", "scene.layout=forward").reg["distortion"].weight == 2e-5
+    assert compose(f"+reg={selection}", "scene.layout=orbit").reg["distortion"].weight == 2e-3
+    override = "reg.distortion.weight=0.5"
+    assert compose(f"+reg={selection}", "scene.layout=forward", override).reg["distortion"].weight == 0.5
+
+
+def test_presets_may_depend_on_the_layout(compose) -> None:
+    forward = compose("+reg=combinerf_plus", "scene.layout=forward").reg
+    assert (forward["distortion"].weight, forward["unseen_smoothness"].weight) == (1e-3, 3e-3)
+    orbit = compose("+reg=combinerf_plus", "scene.layout=orbit").reg
+    assert (orbit["distortion"].weight, orbit["unseen_smoothness"].weight) == (2e-2, 0.0)
+    assert forward["view_dependence"] == orbit["view_dependence"]
+    assert compose("+reg=combinerf_plus", "scene.layout=null").reg == orbit, "the cameras of this scene are on an orbit"
+    assert compose("+reg=combinerf_plus", "scene.layout=orbit", "reg.occlusion.weight=1").reg["occlusion"].weight == 1.0
+
+
+def test_the_sampler_follows_the_layout(compose) -> None:
+    assert compose("scene.layout=forward").sampler.spacing == "disparity"
+    assert compose("scene.layout=orbit").sampler.spacing == compose("scene.layout=null").sampler.spacing == "linear"
+    assert compose("scene.layout=forward", "sampler=importance").sampler.spacing == "linear", "the paper's"
+
+
+def test_layout_that_nobody_names_is_asked_of_the_cameras(compose) -> None:
+    # without scene.layout the procedural scene is an orbit
+    assert compose("+reg=distortion", "scene.layout=null").reg["distortion"].weight == 2e-3
+
+
+def test_list_keeps_its_order(compose) -> None:
+    assert list(compose("+reg=[kl,distortion]").reg) == ["kl", "distortion"]
+    assert list(compose("+reg=[distortion,kl]").reg) == ["distortion", "kl"]
+
+
+def test_start_is_a_step_or_a_fraction(compose) -> None:
+    for text, value in (("1000", 1000), ("0.5", 0.5), ("1.0", 1.0)):
+        start = compose("+reg=kl", f"reg.kl.start={text}", "reg.kl.end=2000").reg["kl"].start
+        assert (type(start), start) == (type(value), value)
+
+
+@pytest.mark.parametrize(
+    ("overrides", "message"),
+    [
+        (["+foo=1"], "unknown key 'foo'"),
+        (["+train.stepz=1"], "unknown key 'train.stepz'; did you mean 'steps'"),
+        (["+reg=kl", "+reg.kl.wieght=1"], "unknown key 'reg.kl.wieght'; did you mean 'weight'"),
+        (["+reg.kl.weight=1"], r"reg.kl: not a selected plugin; select it by \+reg=kl"),
+        (["train=5"], "train=5: is a group of keys"),
+        (["+reg=kl", "reg.kl.weight=-1"], "reg.kl.weight=-1.0: must be finite and not negative"),
+    ],
+)
+def test_bad_values_are_refused_before_anything_is_read(compose, overrides: list[str], message: str) -> None:
+    with pytest.raises(NerfregError, match=message):
+        compose(*overrides)
+
+
+def test_typed_values(compose) -> None:
+    with pytest.raises(ConfigCompositionException) as caught:
+        compose("train.rays=many")
+    assert "could not be converted to Integer" in str(caught.value.__cause__)
+
+
+def test_folder_of_the_user_adds_choices(compose, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "conf" / "reg").mkdir(parents=True)
+    (tmp_path / "conf" / "reg" / "mine.yaml").write_text("defaults: [kl, _self_]\nkl: {weight: 0.25}\n")
+    (tmp_path / "xdg" / "nerfreg" / "scene").mkdir(parents=True)
+    home = "defaults: [procedural_schema, _self_]\nviews: 3\n"
+    (tmp_path / "xdg" / "nerfreg" / "scene" / "home.yaml").write_text(home)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / "xdg"))
+    assert user_folders() == [tmp_path / "conf", tmp_path / "xdg" / "nerfreg"]
+    config = compose("+reg=mine", "scene=home")
+    assert (config.reg["kl"].weight, config.scene.views) == (0.25, 3)
+    assert {"mine", "kl", "combinerf"} <= {*options("reg", register())}
+
+
+def test_own_folder_is_not_the_users(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path))
+    monkeypatch.chdir(own_folder().parent)
+    assert user_folders() == []
+
+
+@pytest.mark.parametrize(
+    ("text", "name"),
+    [
+        ("+reg=[lipschitz,kl],seed=0", "reg=lipschitz+kl,seed=0"),
+        ("+reg=combinerf", "reg=combinerf"),
+        ("scene=own/fern,scene.path=/a b/c", "scene=own-fern,scene.path=-a-b-c"),
+        ("x" * 300, "x" * 100),
+    ],
+)
+def test_slug(text: str, name: str) -> None:
+    assert slug(text) == name
+
+
+@pytest.mark.parametrize(
+    ("overrides", "selected", "name", "expected"),
+    [
+        (["seed=1", "+reg=[kl,lipschitz]"], ["kl", "lipschitz"], None, "llff_kl+lipschitz"),
+        (["+reg=combinerf"], ["kl", "distortion"], None, "llff_combinerf"),
+        ([], ["kl", "distortion"], None, "llff_kl+distortion"),  # the user's own primary config
+        ([], [], None, "llff_vanilla"),
+        (["+reg=kl"], ["kl"], "My run", "My-run"),
+    ],
+)
+def test_run_name(overrides: list[str], selected: list[str], name: str | None, expected: str) -> None:
+    hydra = {"runtime": {"choices": {"scene": "llff"}}, "overrides": {"task": overrides}}
+    root = OmegaConf.create({"name": name, "reg": {key: {} for key in selected}, "hydra": hydra})
+    assert isinstance(root, DictConfig)
+    assert run_name(_root_=root) == expected
+
+
+def saved_run(folder: Path, text: str) -> Path:
+    (folder / ".hydra").mkdir()
+    (folder / ".hydra" / "config.yaml").write_text(text, encoding="utf-8")
+    return folder
+
+
+RUN = """
+scene: {format: procedural, layout: forward, views: 4}
+reg: {distortion: {weight: '${distortion_by_layout:weight}'}}
+"""
+
+
+def test_saved_run_is_read_back_with_its_types(tmp_path: Path) -> None:
+    config = read_run(saved_run(tmp_path, RUN), ["train.rays=7"])
+    assert isinstance(config.scene, Procedural)
+    assert (config.scene.views, config.reg["distortion"].weight, config.train.rays) == (4, 2e-5, 7)
+
+
+@pytest.mark.parametrize(
+    ("text", "overrides", "message"),
+    [
+        (RUN, ["train.rayz=7"], "unknown key 'train.rayz'; did you mean 'train.rays'"),
+        (RUN, ["rays"], "'rays' is no override; write key=value"),
+        (RUN.replace("distortion", "gone"), [], "reg.gone is not installed here"),
+        ("scene: {format: hologram}", [], "hologram"),
+        ("a: [", [], "config.yaml"),
+    ],
+)
+def test_saved_run_that_cannot_be_read(tmp_path: Path, text: str, overrides: list[str], message: str) -> None:
+    with pytest.raises(NerfregError, match=message):
+        read_run(saved_run(tmp_path, text), overrides)
+
+
+def test_no_run(tmp_path: Path) -> None:
+    with pytest.raises(NerfregError, match="not the folder of a run"):
+        read_run(tmp_path)

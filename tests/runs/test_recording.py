@@ -1,0 +1,96 @@
+"""A step on disk: the same rays, weights and chance come back, and other files are refused."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import asdict
+from pathlib import Path
+
+import pytest
+import torch
+from nerfreg_plugins.lipschitz import Lipschitz
+from safetensors.torch import save_file
+
+from nerfreg import hookimpl, registry
+from nerfreg.config.schema import Config
+from nerfreg.errors import NerfregError
+from nerfreg.registry import Hooks
+from nerfreg.rendering.renderer import Renderer
+from nerfreg.runs.recording import Recorder, load_recording
+from nerfreg.runs.replay import replay
+from nerfreg.training.guard import Guard
+from nerfreg.training.trainer import Trainer
+
+pytestmark = pytest.mark.usefixtures("faulty")
+PLUGINS = "+reg=[faulty,combinerf,entropy]"
+
+
+@pytest.fixture
+def saved(make: Callable[..., Trainer], compose: Callable[..., Config], tmp_path: Path) -> tuple[Trainer, list, Path]:
+    """A trainer, the terms of its step 2, which was left out, and the file of that step."""
+    words = (PLUGINS, "reg.faulty.steps=[2]", "reg.faulty.way=gradient", "seed=5")
+    config = compose("scene.size=24", "sampler.coarse=16", "sampler.fine=16", "field.levels=4", "field.finest=64",
+                     "field.log2_entries=12", *words)  # fmt: skip
+    trainer = make(*words, guard=Guard(Recorder(tmp_path, config), lambda line: None))
+    terms = [trainer.step() for _ in range(3)][-1]
+    return trainer, terms, tmp_path / "nonfinite" / "step_000002.safetensors"
+
+
+def test_the_step_comes_back_to_the_last_bit(saved: tuple[Trainer, list, Path], compose: Callable[..., Config]) -> None:
+    trainer, terms, path = saved
+    recording = load_recording(path)
+    assert recording.faults == ("gradient of faulty",)
+    assert (recording.batch.index, recording.batch.total, recording.batch.fraction) == (2, 40, 2 / 40)
+    assert recording.batch.bounds == (trainer.scene.near, trainer.scene.far)
+    for name, weights in trainer.field.state_dict().items():
+        assert torch.equal(recording.weights[name], weights)
+    hooks = Hooks(recording.config.reg)
+    _, again = recording.batch.render(Renderer(trainer.field, recording.config.sampler, hooks), hooks)
+    assert [term.plugin for term in again] == [term.plugin for term in terms]
+    assert len(terms) > 5 and all(torch.equal(a.value, b.value) for a, b in zip(again, terms, strict=True))
+
+
+def test_the_configuration_comes_back_with_its_types(saved: tuple[Trainer, list, Path]) -> None:
+    config = load_recording(saved[2]).config
+    plugins = saved[0].hooks.plugins
+    assert {name: type(plugin) for name, plugin in config.reg.items()} == {n: type(p) for n, p in plugins.items()}
+    assert {name: asdict(plugin) for name, plugin in config.reg.items()} == {n: asdict(p) for n, p in plugins.items()}
+    assert config.seed == 5
+
+
+def test_nothing_else_is_left_in_the_folder(saved: tuple[Trainer, list, Path]) -> None:
+    assert list(saved[2].parent.iterdir()) == [saved[2]]
+
+
+def test_a_missing_file(tmp_path: Path) -> None:
+    with pytest.raises(NerfregError, match=r"step_1\.safetensors: no such file"):
+        replay(tmp_path / "step_1.safetensors")
+
+
+def test_a_damaged_file(tmp_path: Path) -> None:
+    path = tmp_path / "step.safetensors"
+    path.write_bytes(b"nothing")
+    with pytest.raises(NerfregError, match=r"step\.safetensors: cannot be read"):
+        replay(path)
+
+
+def test_weights_are_no_step(tmp_path: Path) -> None:
+    path = tmp_path / "field.safetensors"
+    save_file({"grid.table": torch.zeros(2)}, path)
+    with pytest.raises(NerfregError, match="is no step that training saved"):
+        replay(path)
+
+
+def test_a_plugin_that_is_not_installed_here(
+    saved: tuple[Trainer, list, Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    points = [point for point in registry._entry_points() if point.name != "faulty"]
+    monkeypatch.setattr(registry, "_entry_points", lambda: points)
+    with pytest.raises(NerfregError, match=r"reg\.faulty is not installed here"):
+        replay(saved[2])
+
+
+def test_a_plugin_whose_layers_have_changed(saved: tuple[Trainer, list, Path], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Lipschitz, "nerfreg_layer", hookimpl(lambda self: None))
+    with pytest.raises(NerfregError, match="its weights do not fit the plugins as they are now"):
+        replay(saved[2])
