@@ -73,7 +73,14 @@ def step() -> Callable[..., Step]:
     """A step of a run of 100."""
 
     def step(index: int) -> Step:
-        return Step(index, 100, index / 100, torch.Generator(), (1.0, 3.0), *[lambda rendering: rendering] * 2)
+        return Step(
+            index,
+            100,
+            index / 100,
+            torch.Generator(),
+            (1.0, 3.0),
+            *[lambda rendering: rendering] * 2,
+        )
 
     return step
 
@@ -82,7 +89,13 @@ def step() -> Callable[..., Step]:
 def rays() -> Rays:
     """Two rays along z from the origin, sampled from 1 to 3."""
     direction = torch.tensor([[0.0, 0.0, 1.0]]).repeat(2, 1)
-    return Rays(torch.zeros(2, 3), direction, torch.full((2,), 1.0), torch.full((2,), 3.0), torch.zeros(2, 3))
+    return Rays(
+        torch.zeros(2, 3),
+        direction,
+        torch.full((2,), 1.0),
+        torch.full((2,), 3.0),
+        torch.zeros(2, 3),
+    )
 
 
 @pytest.fixture

@@ -28,9 +28,16 @@ PRESETS = sorted(path.stem for path in (CONF / "reg").glob("*.yaml"))
 ALONE = ("adversarial", "annealing", "entropy")
 """Plugins that no preset contains."""
 CASES = {
-    **{f"{name} {layout}": (f"+reg={name}", f"scene.layout={layout}") for name in PRESETS for layout in ("orbit",)},
+    **{
+        f"{name} {layout}": (f"+reg={name}", f"scene.layout={layout}")
+        for name in PRESETS
+        for layout in ("orbit",)
+    },
     **{f"{name} orbit": (f"+reg={name}", "scene.layout=orbit") for name in ALONE},
-    **{f"{name} forward": (f"+reg={name}", "scene.layout=forward") for name in ("combinerf", "combinerf_plus")},
+    **{
+        f"{name} forward": (f"+reg={name}", "scene.layout=forward")
+        for name in ("combinerf", "combinerf_plus")
+    },
 }
 TOLERANCE = 1e-3
 """Relative. Sums are added in another order where a processor has other vector instructions, and two dozen steps of

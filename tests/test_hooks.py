@@ -14,7 +14,18 @@ import nerfreg
 from nerfreg.hooks import Needs, Regularizer
 
 SOURCE = Path(nerfreg.__file__).parent
-ROOMS = ("scenes", "rays", "field", "rendering", "training", "evaluation", "reports", "checks", "bench", "prune")
+ROOMS = (
+    "scenes",
+    "rays",
+    "field",
+    "rendering",
+    "training",
+    "evaluation",
+    "reports",
+    "checks",
+    "bench",
+    "prune",
+)
 """In the order in which data passes through them."""
 
 
@@ -46,7 +57,12 @@ def test_rooms_do_not_know_the_command_line() -> None:
     # the benches and the study compose configurations themselves, as runs do
     for room in ROOMS[: ROOMS.index("bench")]:
         for path in (SOURCE / room).rglob("*.py"):
-            assert not imported(path) & {"nerfreg.cli", "nerfreg.cli.launch", "nerfreg.config", "nerfreg.runs"}, path
+            assert not imported(path) & {
+                "nerfreg.cli",
+                "nerfreg.cli.launch",
+                "nerfreg.config",
+                "nerfreg.runs",
+            }, path
 
 
 def test_package_is_imported_without_torch(environment: dict[str, str]) -> None:
@@ -83,7 +99,9 @@ def test_window(step, start, end, active) -> None:
 
 def test_needs_unite() -> None:
     patches = Needs(patch_size=4, patch_fraction=0.25, neighbors="patch")
-    others = Needs(patch_size=2, patch_fraction=0.5, neighbors="extra", unseen_rays=0.1, unseen_patches=0.2)
+    others = Needs(
+        patch_size=2, patch_fraction=0.5, neighbors="extra", unseen_rays=0.1, unseen_patches=0.2
+    )
     assert patches | others == others | patches == Needs(4, 0.5, "extra", 0.1, 0.2)
     assert Needs() | Needs() == Needs()
 

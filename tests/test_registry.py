@@ -76,7 +76,9 @@ class Loner(Regularizer):
     conflicts: ClassVar[tuple[str, ...]] = ("constant",)
 
 
-def test_nothing_selected_never_enters_pluggy(rays, rendering, step, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_nothing_selected_never_enters_pluggy(
+    rays, rendering, step, monkeypatch: pytest.MonkeyPatch
+) -> None:
     hooks = Hooks()
 
     def fail(*_: object, **__: object) -> None:
@@ -219,7 +221,9 @@ class Undecorated(Regularizer):
         ("Missing", "failed to import: AttributeError"),
     ],
 )
-def test_mistakes_of_an_author_are_told(name: str, error: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_mistakes_of_an_author_are_told(
+    name: str, error: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     point = EntryPoint("wrong", f"{__name__}:{name}", registry.GROUP)
     monkeypatch.setattr(registry, "_entry_points", lambda: [point])
     [plugin] = installed()
@@ -238,12 +242,18 @@ class Depth(Regularizer):
 
     @hookimpl
     def nerfreg_known_depth(self, photographs):
-        return None if self.silent else torch.tensor([self.first, self.last]).expand(3, 4, self.pixels, 2)
+        return (
+            None
+            if self.silent
+            else torch.tensor([self.first, self.last]).expand(3, 4, self.pixels, 2)
+        )
 
 
 @pytest.fixture
 def photographs() -> Photographs:
-    cameras = Cameras(2, 4, torch.eye(3, 4).repeat(3, 1, 1), torch.ones(3, 2), torch.ones(3, 2), torch.zeros(3, 5))
+    cameras = Cameras(
+        2, 4, torch.eye(3, 4).repeat(3, 1, 1), torch.ones(3, 2), torch.ones(3, 2), torch.zeros(3, 5)
+    )
     return Photographs(cameras, torch.rand(3, 4, 2, 3), 0.5, 3.0, "forward")
 
 
@@ -259,13 +269,21 @@ def test_depth_is_told_by_one_plugin(photographs) -> None:
 
 def test_depth_of_a_wrong_kind_is_refused(photographs) -> None:
     with pytest.raises(
-        NerfregError, match=r"plugin wide, nerfreg_known_depth: has shape \(3, 4, 5, 2\), not \(3, 4, 2, 2\)"
+        NerfregError,
+        match=r"plugin wide, nerfreg_known_depth: has shape \(3, 4, 5, 2\), not \(3, 4, 2, 2\)",
     ):
         Hooks({"wide": Depth(pixels=5)}).known_depth(photographs)
-    with pytest.raises(NerfregError, match="plugin turned, nerfreg_known_depth: some intervals end before they begin"):
+    with pytest.raises(
+        NerfregError,
+        match="plugin turned, nerfreg_known_depth: some intervals end before they begin",
+    ):
         Hooks({"turned": Depth(first=3.0)}).known_depth(photographs)
-    assert Hooks({"off": Depth(weight=0.0), "on": Depth(), "other": Constant()}).depth_tellers == ("on",)
-    unknown = Hooks({"unknown": Depth(first=float("nan"), last=float("nan"))}).known_depth(photographs)
+    assert Hooks({"off": Depth(weight=0.0), "on": Depth(), "other": Constant()}).depth_tellers == (
+        "on",
+    )
+    unknown = Hooks({"unknown": Depth(first=float("nan"), last=float("nan"))}).known_depth(
+        photographs
+    )
     assert unknown.isnan().all()
 
 
@@ -281,9 +299,13 @@ def test_hook_points_and_summary(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_source_checkout_reads_its_own_pyproject(tmp_path: Path) -> None:
     pyproject = tmp_path / "pyproject.toml"
     assert registry._checkout_entry_points(pyproject) == []
-    pyproject.write_text('[project]\nname = "other"\n[project.entry-points."nerfreg.plugins"]\nx = "y:Z"\n')
+    pyproject.write_text(
+        '[project]\nname = "other"\n[project.entry-points."nerfreg.plugins"]\nx = "y:Z"\n'
+    )
     assert registry._checkout_entry_points(pyproject) == []
-    pyproject.write_text('[project]\nname = "nerfreg"\n[project.entry-points."nerfreg.plugins"]\nx = "y:Z"\n')
+    pyproject.write_text(
+        '[project]\nname = "nerfreg"\n[project.entry-points."nerfreg.plugins"]\nx = "y:Z"\n'
+    )
     assert registry._checkout_entry_points(pyproject) == [EntryPoint("x", "y:Z", registry.GROUP)]
 
 

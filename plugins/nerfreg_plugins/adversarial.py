@@ -60,7 +60,11 @@ class Perturbed(AffineLayer):
 
     def _raw(self) -> Float[Tensor, "points out"] | None:
         # Raw density is the first column of the density network's output; the geometry features behind it stay.
-        return None if self.raw is None else functional.pad(self.raw, (0, self.out_features - self.raw.shape[1]))
+        return (
+            None
+            if self.raw is None
+            else functional.pad(self.raw, (0, self.out_features - self.raw.shape[1]))
+        )
 
 
 @dataclass
@@ -103,7 +107,10 @@ class Adversarial(Regularizer):
     ) -> Generator[None, nn.Module, nn.Module]:
         layer = yield
         last = activation == "none"
-        here = {"features": network == "density" and index == 0, "sigma": network == "density" and last}
+        here = {
+            "features": network == "density" and index == 0,
+            "sigma": network == "density" and last,
+        }
         here["rgb"] = network == "color" and last
         targets = [name for name, present in here.items() if present and getattr(self, name) > 0]
         if not targets:
@@ -119,29 +126,43 @@ class Adversarial(Regularizer):
         positions, directions, t = samples.positions, samples.directions, samples.t
         per_sample = directions.ndim == 3
         if (shift := self._deltas.get("t")) is not None:
-            positions = positions + shift[..., None] * (directions if per_sample else directions[:, None])
+            positions = positions + shift[..., None] * (
+                directions if per_sample else directions[:, None]
+            )
             t = t + shift
         if (shift := self._deltas.get("positions")) is not None:
             positions = positions + shift
         if (shift := self._deltas.get("directions")) is not None:
-            directions = functional.normalize(directions + (shift[:, None] if per_sample else shift), dim=-1)
-        return replace(samples, positions=positions, directions=directions, t=t) if self._deltas else samples
+            directions = functional.normalize(
+                directions + (shift[:, None] if per_sample else shift), dim=-1
+            )
+        return (
+            replace(samples, positions=positions, directions=directions, t=t)
+            if self._deltas
+            else samples
+        )
 
     @hookimpl
     def nerfreg_loss(self, rendering: Rendering, step: Step) -> dict[str, Float[Tensor, ""]]:
         try:
-            return {"adversarial": self._error(step.rerender, rendering, self._worst(rendering, step))}
+            return {
+                "adversarial": self._error(step.rerender, rendering, self._worst(rendering, step))
+            }
         finally:
             self._set({})
 
     def _worst(self, rendering: Rendering, step: Step) -> dict[str, Tensor]:
         """The perturbations that PGD ends with."""
         radii = self._radii(step)
-        deltas = {name: rendering.t.new_zeros(shape) for name, shape in self._shapes(rendering).items()}
+        deltas = {
+            name: rendering.t.new_zeros(shape) for name, shape in self._shapes(rendering).items()
+        }
         for _ in range(self.steps):
             deltas = {name: delta.requires_grad_() for name, delta in deltas.items()}
             error = self._error(step.probe, rendering, deltas)
-            grads = torch.autograd.grad(error, list(deltas.values()), allow_unused=True, materialize_grads=True)
+            grads = torch.autograd.grad(
+                error, list(deltas.values()), allow_unused=True, materialize_grads=True
+            )
             deltas = {
                 name: pgd_step(delta.detach(), grad, self.step_size * radii[name], radii[name])
                 for (name, delta), grad in zip(deltas.items(), grads, strict=True)
@@ -150,11 +171,17 @@ class Adversarial(Regularizer):
 
     def _radii(self, step: Step) -> dict[str, float]:
         length = step.bounds[1] - step.bounds[0]
-        return {name: getattr(self, name) * (length if name in ("positions", "t") else 1.0) for name in TARGETS}
+        return {
+            name: getattr(self, name) * (length if name in ("positions", "t") else 1.0)
+            for name in TARGETS
+        }
 
     def _shapes(self, rendering: Rendering) -> dict[str, tuple[int, ...]]:
         rays, samples = rendering.t.shape
-        shapes: dict[str, tuple[int, ...]] = {"positions": (rays, samples, 3), "directions": (rays, 3)}
+        shapes: dict[str, tuple[int, ...]] = {
+            "positions": (rays, samples, 3),
+            "directions": (rays, 3),
+        }
         shapes["t"] = (rays, samples)
         if "features" in self._layers:
             shapes["features"] = (rays * samples, self._layers["features"].in_features)
@@ -162,11 +189,15 @@ class Adversarial(Regularizer):
         shapes["rgb"] = (int(rendering.colored.sum()), 3)
         return {name: shape for name, shape in shapes.items() if getattr(self, name) > 0}
 
-    def _error(self, render: Render, rendering: Rendering, deltas: dict[str, Tensor]) -> Float[Tensor, ""]:
+    def _error(
+        self, render: Render, rendering: Rendering, deltas: dict[str, Tensor]
+    ) -> Float[Tensor, ""]:
         colors, targets = self._perturbed(render, rendering, deltas)
         return (colors - targets).square().mean()
 
-    def _perturbed(self, render: Render, rendering: Rendering, deltas: dict[str, Tensor]) -> tuple[Tensor, Tensor]:
+    def _perturbed(
+        self, render: Render, rendering: Rendering, deltas: dict[str, Tensor]
+    ) -> tuple[Tensor, Tensor]:
         """The colours under the perturbations, and those that they should have, (S, 3) each."""
         self._set(deltas)
         targets = rendering.rays.targets
@@ -177,8 +208,15 @@ class Adversarial(Regularizer):
         if not isinstance(given, Rendering):
             return None
         try:
-            pairs = zip(*map(exact, self._perturbed(step.rerender, given, self._worst(given, step))), strict=True)
-            squares = [(a - b) ** 2 for colors, targets in pairs for a, b in zip(colors, targets, strict=True)]
+            pairs = zip(
+                *map(exact, self._perturbed(step.rerender, given, self._worst(given, step))),
+                strict=True,
+            )
+            squares = [
+                (a - b) ** 2
+                for colors, targets in pairs
+                for a, b in zip(colors, targets, strict=True)
+            ]
         finally:
             self._set({})
         return {"adversarial": mpmath.fsum(squares) / len(squares)}
@@ -187,9 +225,16 @@ class Adversarial(Regularizer):
     def nerfreg_contract(self, step: Step) -> dict[str, float]:
         """Every perturbation lies in its ball; the excess is relative to the radius, and absolute where that is 0."""
         radii = self._radii(step)
-        moved = {name: delta.detach().double().abs() for name, delta in self._deltas.items() if delta.numel()}
+        moved = {
+            name: delta.detach().double().abs()
+            for name, delta in self._deltas.items()
+            if delta.numel()
+        }
         excess = {name: float(size.max()) - radii[name] for name, size in moved.items()}
-        return {f"ball of {name}": max(over, 0.0) / (radii[name] or 1.0) for name, over in excess.items()}
+        return {
+            f"ball of {name}": max(over, 0.0) / (radii[name] or 1.0)
+            for name, over in excess.items()
+        }
 
     def _set(self, deltas: dict[str, Tensor]) -> None:
         self._deltas = deltas

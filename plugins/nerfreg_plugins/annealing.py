@@ -67,9 +67,13 @@ class Annealing(Regularizer):
 
     def __post_init__(self) -> None:
         if not 0 < self.initial <= 1:
-            raise NerfregError(f"reg.annealing.initial: {self.initial} is not in (0, 1]; 1 switches annealing off")
+            raise NerfregError(
+                f"reg.annealing.initial: {self.initial} is not in (0, 1]; 1 switches annealing off"
+            )
         if not 0 <= self.mid <= 1:
-            raise NerfregError(f"reg.annealing.mid: {self.mid} is not in [0, 1]; 0 is near, 1 is far")
+            raise NerfregError(
+                f"reg.annealing.mid: {self.mid} is not in [0, 1]; 0 is near, 1 is far"
+            )
 
     @hookimpl(wrapper=True)
     @no_type_check  # a checker that wraps the generator would hide it from pluggy
@@ -90,7 +94,10 @@ class Annealing(Regularizer):
     def nerfreg_reference(self, given: Any, step: Step) -> dict[str, Any] | None:
         if not isinstance(given, Rays):
             return None
-        eta, mid = mpmath.mpf(_eta(self._done(step), self.duration, self.initial)), mpmath.mpf(self.mid)
+        eta, mid = (
+            mpmath.mpf(_eta(self._done(step), self.duration, self.initial)),
+            mpmath.mpf(self.mid),
+        )
         bounds = list(zip(exact(given.near), exact(given.far), strict=True))
         middles = [near + mid * (far - near) for near, far in bounds]
         return {

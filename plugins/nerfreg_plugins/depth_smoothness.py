@@ -58,7 +58,10 @@ class DepthSmoothness(Regularizer):
     reduction: Reduction = Reduction.sum
     opacity_weighted: bool = False
 
-    by_layout: ClassVar[dict[str, dict[str, Any]]] = {"forward": {"weight": 0.1}, "orbit": {"weight": 0.01}}
+    by_layout: ClassVar[dict[str, dict[str, Any]]] = {
+        "forward": {"weight": 0.1},
+        "orbit": {"weight": 0.01},
+    }
     cite: ClassVar[str] = """@inproceedings{niemeyer2022regnerf,
   title = {{RegNeRF}: Regularizing Neural Radiance Fields for View Synthesis from Sparse Inputs},
   author = {Niemeyer, Michael and Barron, Jonathan T. and Mildenhall, Ben and Sajjadi, Mehdi S. M.
@@ -99,7 +102,13 @@ class DepthSmoothness(Regularizer):
         for patch in given.rays.patches.tolist():
             for row, below in pairwise(patch):
                 for ray, right, down in zip(row, row[1:], below, strict=False):
-                    squares = [(depth[ray] - depth[to]) ** 2 for to in (right, down) if visible[ray] and visible[to]]
-                    terms.append(mpmath.fsum(squares) * (opacity[ray] if self.opacity_weighted else 1))
+                    squares = [
+                        (depth[ray] - depth[to]) ** 2
+                        for to in (right, down)
+                        if visible[ray] and visible[to]
+                    ]
+                    terms.append(
+                        mpmath.fsum(squares) * (opacity[ray] if self.opacity_weighted else 1)
+                    )
         patches, side, _ = given.rays.patches.shape
         return {"depth_smoothness": mpmath.fsum(terms) / max(patches, 1) * self._factor(side, step)}

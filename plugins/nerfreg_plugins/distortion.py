@@ -16,7 +16,9 @@ from nerfreg.numerics import MIN_OPACITY, exact, single
 
 
 def distortion(
-    weights: Float[Tensor, "rays samples"], t_edges: Float[Tensor, "rays edges"], depth: Float[Tensor, " rays"]
+    weights: Float[Tensor, "rays samples"],
+    t_edges: Float[Tensor, "rays edges"],
+    depth: Float[Tensor, " rays"],
 ) -> Float[Tensor, ""]:
     """(sum_ij w_i w_j abs(m_i - m_j) + 1/3 sum_i w_i^2 delta_i) / depth, mean over rays.
 
@@ -54,7 +56,10 @@ class Distortion(Regularizer):
     unit_depth: bool = False
     drop_last: bool = False
 
-    by_layout: ClassVar[dict[str, dict[str, Any]]] = {"forward": {"weight": 2e-5}, "orbit": {"weight": 2e-3}}
+    by_layout: ClassVar[dict[str, dict[str, Any]]] = {
+        "forward": {"weight": 2e-5},
+        "orbit": {"weight": 2e-3},
+    }
     cite: ClassVar[str] = """@inproceedings{barron2022mipnerf360,
   title = {{Mip-NeRF} 360: Unbounded Anti-Aliased Neural Radiance Fields},
   author = {Barron, Jonathan T. and Mildenhall, Ben and Verbin, Dor and Srinivasan, Pratul P. and Hedman, Peter},
@@ -74,7 +79,9 @@ class Distortion(Regularizer):
             near, far = step.bounds
             depth = rendering.opacity * (depth - near) / (far - near) + 1e-4
         if 0 < self.max_rays < len(weights):
-            chosen = torch.randperm(len(weights), generator=step.generator)[: self.max_rays].to(weights.device)
+            chosen = torch.randperm(len(weights), generator=step.generator)[: self.max_rays].to(
+                weights.device
+            )
             weights, t_edges, depth = weights[chosen], t_edges[chosen], depth[chosen]
         if self.drop_last:
             weights, t_edges = weights[:, :-1], t_edges[:, :-1]

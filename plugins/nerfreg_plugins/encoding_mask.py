@@ -22,7 +22,9 @@ def active_features(count: int, ratio: float, fractional: bool = False) -> float
     return kept if fractional else float(math.floor(kept))
 
 
-def feature_mask(features: Float[Tensor, "points features"], ratio: float) -> Float[Tensor, "points features"]:
+def feature_mask(
+    features: Float[Tensor, "points features"], ratio: float
+) -> Float[Tensor, "points features"]:
     """The first floor(l * ratio) of the l features, the rest 0. features: (P, l), coarsest first; ratio in [0, 1].
 
     The plain version of what the core does with `active_features`, which never evaluates the rest.
@@ -54,7 +56,10 @@ class EncodingMask(Regularizer):
     saturation: float = 0.9
     fractional: bool = False
 
-    by_layout: ClassVar[dict[str, dict[str, Any]]] = {"forward": {"saturation": 0.9}, "orbit": {"saturation": 0.2}}
+    by_layout: ClassVar[dict[str, dict[str, Any]]] = {
+        "forward": {"saturation": 0.9},
+        "orbit": {"saturation": 0.2},
+    }
     cite: ClassVar[str] = """@inproceedings{yang2023freenerf,
   title = {{FreeNeRF}: Improving Few-Shot Neural Rendering with Free Frequency Regularization},
   author = {Yang, Jiawei and Pavone, Marco and Wang, Yue},
@@ -89,5 +94,9 @@ class EncodingMask(Regularizer):
             return None
         ratio = mpmath.mpf(self.ratio(step.fraction))
         counts = {"density": given.density_width, "color": given.color_width}
-        kept = {f"{network}_features": counts[network] * ratio for network in self.networks if ratio < 1}
-        return {name: count if self.fractional else mpmath.floor(count) for name, count in kept.items()}
+        kept = {
+            f"{network}_features": counts[network] * ratio for network in self.networks if ratio < 1
+        }
+        return {
+            name: count if self.fractional else mpmath.floor(count) for name, count in kept.items()
+        }

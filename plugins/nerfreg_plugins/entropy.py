@@ -28,11 +28,15 @@ def ray_entropy(alphas: Float[Tensor, "rays samples"], threshold: float) -> Floa
     return torch.where(counted, q * _surprise(alphas.detach(), q.detach()), 0.0).sum(-1).mean()
 
 
-def _surprise(alphas: Float[Tensor, "rays samples"], q: Float[Tensor, "rays samples"]) -> Float[Tensor, "rays samples"]:
+def _surprise(
+    alphas: Float[Tensor, "rays samples"], q: Float[Tensor, "rays samples"]
+) -> Float[Tensor, "rays samples"]:
     """-log q, also where one sample has nearly everything: then from the little that the others have."""
     largest = alphas.argmax(-1, keepdim=True)
     rest = alphas.scatter(-1, largest, 0.0).sum(-1, keepdim=True)
-    of_largest = torch.log1p(rest / alphas.gather(-1, largest).clamp_min(MIN_OPACITY / alphas.shape[-1]))
+    of_largest = torch.log1p(
+        rest / alphas.gather(-1, largest).clamp_min(MIN_OPACITY / alphas.shape[-1])
+    )
     plain = -q.clamp_min(torch.finfo(q.dtype).tiny).log()
     return torch.where(q > 0.5, of_largest, plain)
 
@@ -74,7 +78,9 @@ class RayEntropy(Regularizer):
     def nerfreg_reference(self, given: Any) -> dict[str, Any] | None:
         if not isinstance(given, Rendering):
             return None
-        entropies = [_reference(alphas, max(self.threshold, MIN_OPACITY)) for alphas in exact(given.alphas)]
+        entropies = [
+            _reference(alphas, max(self.threshold, MIN_OPACITY)) for alphas in exact(given.alphas)
+        ]
         return {"entropy": mpmath.fsum(entropies) / len(entropies)}
 
 

@@ -38,7 +38,10 @@ class FullGeometry(Regularizer):
     patch_size: int = 0
     patch_fraction: float = 0.0625
 
-    by_layout: ClassVar[dict[str, dict[str, Any]]] = {"forward": {"weight": 1e-4}, "orbit": {"weight": 1e-3}}
+    by_layout: ClassVar[dict[str, dict[str, Any]]] = {
+        "forward": {"weight": 1e-4},
+        "orbit": {"weight": 1e-3},
+    }
     cite: ClassVar[str] = """@inproceedings{wynn2023diffusionerf,
   title = {{DiffusioNeRF}: Regularizing Neural Radiance Fields with Denoising Diffusion Models},
   author = {Wynn, Jamie and Turmukhambetov, Daniyar},
@@ -48,7 +51,11 @@ class FullGeometry(Regularizer):
 
     @hookimpl
     def nerfreg_needs(self) -> Needs | None:
-        return Needs(patch_size=self.patch_size, patch_fraction=self.patch_fraction) if self.patch_size else None
+        return (
+            Needs(patch_size=self.patch_size, patch_fraction=self.patch_fraction)
+            if self.patch_size
+            else None
+        )
 
     @hookimpl
     def nerfreg_loss(self, rendering: Rendering) -> dict[str, Float[Tensor, ""]]:

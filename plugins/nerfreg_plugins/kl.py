@@ -26,7 +26,8 @@ SERIES = 0.05
 
 
 def kl_divergence(
-    log_weights: Float[Tensor, "pairs samples"], neighbor_log_weights: Float[Tensor, "pairs samples"]
+    log_weights: Float[Tensor, "pairs samples"],
+    neighbor_log_weights: Float[Tensor, "pairs samples"],
 ) -> Float[Tensor, ""]:
     """D(p || q) = sum p log(p / q), p = w / sum w of a ray and q of its neighbour at the same t; mean over pairs.
 
@@ -156,13 +157,24 @@ class KLDivergence(Regularizer):
 
     @hookimpl
     def nerfreg_loss(self, rendering: Rendering, step: Step) -> dict[str, Float[Tensor, ""]]:
-        return {} if rendering.rays.neighbors is None else {"kl": kl_divergence(*self._pairs(rendering))}
+        return (
+            {}
+            if rendering.rays.neighbors is None
+            else {"kl": kl_divergence(*self._pairs(rendering))}
+        )
 
-    def _pairs(self, rendering: Rendering) -> tuple[Float[Tensor, "pairs samples"], Float[Tensor, "pairs samples"]]:
+    def _pairs(
+        self, rendering: Rendering
+    ) -> tuple[Float[Tensor, "pairs samples"], Float[Tensor, "pairs samples"]]:
         assert rendering.rays.neighbors is not None
-        density = rendering.log_weights if self.density == Density.weights else log_alpha(rendering.tau)
+        density = (
+            rendering.log_weights if self.density == Density.weights else log_alpha(rendering.tau)
+        )
         density = density.masked_fill(~rendering.visible[:, None], -math.inf)
-        ray, neighbor = density[rendering.rays.neighbors[:, 0]], density[rendering.rays.neighbors[:, 1]]
+        ray, neighbor = (
+            density[rendering.rays.neighbors[:, 0]],
+            density[rendering.rays.neighbors[:, 1]],
+        )
         return (ray, neighbor) if self.direction == Direction.forward else (neighbor, ray)
 
     @property
@@ -174,7 +186,9 @@ class KLDivergence(Regularizer):
         if not isinstance(given, Rendering) or given.rays.neighbors is None:
             return None
         rays, neighbors = map(exact, self._pairs(given))
-        divergences = [_reference(ray, neighbor) for ray, neighbor in zip(rays, neighbors, strict=True)]
+        divergences = [
+            _reference(ray, neighbor) for ray, neighbor in zip(rays, neighbors, strict=True)
+        ]
         return {"kl": mpmath.fsum(divergences) / max(len(divergences), 1)}
 
 
@@ -184,5 +198,8 @@ def _reference(ray: list[Any], neighbor: list[Any]) -> Any:
     total, other_total = mpmath.fsum(weights), mpmath.fsum(others)
     if total == 0 or other_total == 0:
         return 0
-    pairs = ((w / total, max(v / other_total, mpmath.mpf(1e-10))) for w, v in zip(weights, others, strict=True))
+    pairs = (
+        (w / total, max(v / other_total, mpmath.mpf(1e-10)))
+        for w, v in zip(weights, others, strict=True)
+    )
     return mpmath.fsum(p * mpmath.log(p / q) for p, q in pairs if p > 0)

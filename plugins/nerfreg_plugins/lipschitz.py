@@ -16,7 +16,9 @@ from nerfreg.field.layers import AffineLayer
 from nerfreg.numerics import exact, single
 
 
-def normalize_rows(weight: Float[Tensor, "out in"], k: Float[Tensor, ""]) -> Float[Tensor, "out in"]:
+def normalize_rows(
+    weight: Float[Tensor, "out in"], k: Float[Tensor, ""]
+) -> Float[Tensor, "out in"]:
     """Rows of W scaled by min(1, softplus(k) / sum abs(row)): no row sums to more than softplus(k).
 
     weight: (out, in). k: scalar. The layer is then softplus(k)-Lipschitz in the maximum norm. Rows within the bound,
@@ -43,7 +45,9 @@ class LipschitzLinear(AffineLayer):
     Initialised as torch does, and k as twice the largest row sum, so that the bound starts out inactive.
     """
 
-    def __init__(self, in_features: int, out_features: int, activation: str, bias: bool = False) -> None:
+    def __init__(
+        self, in_features: int, out_features: int, activation: str, bias: bool = False
+    ) -> None:
         super().__init__(activation)
         linear = nn.Linear(in_features, out_features, bias=bias)
         self.weight = linear.weight
@@ -98,7 +102,9 @@ class Lipschitz(Regularizer):
         if network not in self.networks:
             return None
         own = str(self.hidden_activation) if activation == "relu" else activation
-        layer = self._layers[network, index] = LipschitzLinear(in_features, out_features, own, self.bias)
+        layer = self._layers[network, index] = LipschitzLinear(
+            in_features, out_features, own, self.bias
+        )
         return layer
 
     @hookimpl
@@ -116,13 +122,19 @@ class Lipschitz(Regularizer):
     def nerfreg_reference(self, given: Any) -> dict[str, Any] | None:
         if isinstance(given, Rendering):
             bounds = [_bound(layer) for layer in self._layers.values()]
-            return {"lipschitz": self.bound_weight * mpmath.fprod(bounds)} if self.bound_weight and bounds else None
+            return (
+                {"lipschitz": self.bound_weight * mpmath.fprod(bounds)}
+                if self.bound_weight and bounds
+                else None
+            )
         if not isinstance(given, LipschitzLinear):
             return None
         bound, rows = _bound(given), exact(given.weight)
         sums = [mpmath.fsum(map(abs, row)) for row in rows]
         scales = [bound / total if total > bound else 1 for total in sums]
-        return {"weight": [[scale * w for w in row] for scale, row in zip(scales, rows, strict=True)]}
+        return {
+            "weight": [[scale * w for w in row] for scale, row in zip(scales, rows, strict=True)]
+        }
 
     @hookimpl
     def nerfreg_contract(self) -> dict[str, float]:
@@ -131,7 +143,9 @@ class Lipschitz(Regularizer):
         for (network, index), layer in self._layers.items():
             bound = float(_bound(layer))
             largest = float(layer.effective()[0].detach().double().abs().sum(-1).max())
-            broken[f"rows of {network} {index}"] = max(largest / bound - 1, 0.0) if bound > 0 else largest
+            broken[f"rows of {network} {index}"] = (
+                max(largest / bound - 1, 0.0) if bound > 0 else largest
+            )
         return broken
 
 

@@ -77,11 +77,15 @@ class Occlusion(Regularizer):
         if not isinstance(given, Rendering):
             return None
         weights, t_edges, near, far = map(exact, self._inputs(given))
-        means = [_reference(*ray, self.fraction) for ray in zip(weights, t_edges, near, far, strict=True)]
+        means = [
+            _reference(*ray, self.fraction) for ray in zip(weights, t_edges, near, far, strict=True)
+        ]
         return {"occlusion": mpmath.fsum(means) / len(means)}
 
 
-def _reference(penalised: list[Any], t_edges: list[Any], near: Any, far: Any, fraction: float) -> Any:
+def _reference(
+    penalised: list[Any], t_edges: list[Any], near: Any, far: Any, fraction: float
+) -> Any:
     """The definition, literally."""
     border = near + mpmath.mpf(fraction) * (far - near)
     middles = [(low + high) / 2 for low, high in pairwise(t_edges)]

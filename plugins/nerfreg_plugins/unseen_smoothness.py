@@ -28,7 +28,9 @@ def relative_smoothness(
     counted = visible & (depth_patches.detach() > 0)
     depth = torch.where(counted, depth_patches, 1.0)
     down = _squared_log_ratio(depth[:, :-1], depth[:, 1:], counted[:, :-1] & counted[:, 1:])
-    right = _squared_log_ratio(depth[:, :, :-1], depth[:, :, 1:], counted[:, :, :-1] & counted[:, :, 1:])
+    right = _squared_log_ratio(
+        depth[:, :, :-1], depth[:, :, 1:], counted[:, :, :-1] & counted[:, :, 1:]
+    )
     return (down + right) / max(len(depth_patches), 1)
 
 
@@ -66,7 +68,11 @@ class UnseenSmoothness(Regularizer):
         patches = rendering.rays.unseen_patches
         if patches is None:
             return {}
-        return {"unseen_smoothness": relative_smoothness(rendering.depth[patches], rendering.visible[patches])}
+        return {
+            "unseen_smoothness": relative_smoothness(
+                rendering.depth[patches], rendering.visible[patches]
+            )
+        }
 
     @property
     def scale_free(self) -> bool:

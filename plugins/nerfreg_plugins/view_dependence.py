@@ -67,7 +67,9 @@ class ViewDependence(Regularizer):
 
     @hookimpl(wrapper=True)
     @no_type_check  # a checker that wraps the generator would hide it from pluggy
-    def nerfreg_layer(self, network: str, index: int, in_features: int) -> Generator[None, nn.Module, nn.Module]:
+    def nerfreg_layer(
+        self, network: str, index: int, in_features: int
+    ) -> Generator[None, nn.Module, nn.Module]:
         layer = yield
         if network != "color" or index != 0 or in_features < len(DEGREES):
             return layer
@@ -75,9 +77,15 @@ class ViewDependence(Regularizer):
 
     @hookimpl
     def nerfreg_reference(self, given: Any) -> dict[str, Any] | None:
-        affine = given.inner.effective() if isinstance(given, Damped) and isinstance(given.inner, AffineLayer) else None
+        affine = (
+            given.inner.effective()
+            if isinstance(given, Damped) and isinstance(given.inner, AffineLayer)
+            else None
+        )
         if affine is None:
             return None
         factors = exact(given.factors)
-        rows = [[w * factor for w, factor in zip(row, factors, strict=True)] for row in exact(affine[0])]
+        rows = [
+            [w * factor for w, factor in zip(row, factors, strict=True)] for row in exact(affine[0])
+        ]
         return {"weight": rows}

@@ -10,7 +10,17 @@ if TYPE_CHECKING:
     from nerfreg.scenes.scene import Photographs
 
 __version__ = "0.1.0"
-__all__ = ["Needs", "NerfregError", "Photographs", "Rays", "Regularizer", "Rendering", "Samples", "Step", "hookimpl"]
+__all__ = [
+    "Needs",
+    "NerfregError",
+    "Photographs",
+    "Rays",
+    "Regularizer",
+    "Rendering",
+    "Samples",
+    "Step",
+    "hookimpl",
+]
 
 
 def __getattr__(name: str) -> Any:

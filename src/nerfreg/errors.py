@@ -29,7 +29,11 @@ def require_range(room: str, config: object, **limits: tuple[float | int, float 
     for key, (lowest, highest) in limits.items():
         value = getattr(config, key)
         if value is not None and not lowest <= value <= highest:
-            limit = f"at least {lowest:g}" if highest == float("inf") else f"between {lowest:g} and {highest:g}"
+            limit = (
+                f"at least {lowest:g}"
+                if highest == float("inf")
+                else f"between {lowest:g} and {highest:g}"
+            )
             raise NerfregError(f"{room}.{key}={value}: must be {limit}")
 
 

@@ -15,4 +15,6 @@ def not_finite(name: str, values: Tensor) -> list[str]:
     first = float(values[place])
     if not place:
         return [f"{name} is {first}"]
-    return [f"{name}: {len(bad)} of {values.numel()} values not finite, the first at {list(place)}: {first}"]
+    return [
+        f"{name}: {len(bad)} of {values.numel()} values not finite, the first at {list(place)}: {first}"
+    ]

@@ -218,7 +218,9 @@ class Regularizer:
 
     def active(self, step: Step) -> bool:
         """Whether `step` lies in [start, end); the last step of a run belongs to `end: 1.0`."""
-        begun = step.index >= self.start if isinstance(self.start, int) else step.fraction >= self.start
+        begun = (
+            step.index >= self.start if isinstance(self.start, int) else step.fraction >= self.start
+        )
         if isinstance(self.end, int):
             return begun and step.index < self.end
         return begun and (step.fraction < self.end or self.end >= 1.0)
@@ -241,7 +243,9 @@ class HookSpecs:
         """
 
     @hookspec
-    def nerfreg_known_depth(self, photographs: Photographs) -> Float[Tensor, "views height width 2"] | None:
+    def nerfreg_known_depth(
+        self, photographs: Photographs
+    ) -> Float[Tensor, "views height width 2"] | None:
         """Between which distances along the rays of training pixels there is something; NaN where that is not known.
 
         Called once, before the first step; the time it takes is training time. Found in the photographs, or read from
@@ -274,7 +278,9 @@ class HookSpecs:
         """
 
     @hookspec
-    def nerfreg_reference(self, given: nn.Module | Rays | Samples | Rendering, step: Step) -> dict[str, Any] | None:
+    def nerfreg_reference(
+        self, given: nn.Module | Rays | Samples | Rendering, step: Step
+    ) -> dict[str, Any] | None:
         """The exact values of what the plugin makes of `given`, for `nerfreg check` to compare with.
 
         Of a Rendering, the terms that `nerfreg_loss` returns, by name. Of Rays, "near" and "far". Of Samples, those of

@@ -20,7 +20,17 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from nerfreg.errors import NerfregError
-from nerfreg.hooks import PROJECT, HookSpecs, Needs, Rays, Regularizer, Rendering, Samples, Step, hookimpl
+from nerfreg.hooks import (
+    PROJECT,
+    HookSpecs,
+    Needs,
+    Rays,
+    Regularizer,
+    Rendering,
+    Samples,
+    Step,
+    hookimpl,
+)
 from nerfreg.nearest import nearest
 from nerfreg.scenes.scene import Photographs
 
@@ -71,7 +81,10 @@ def installed() -> list[PluginInfo]:
             cls = point.load()
             error = _mistake(cls)
         except Exception as exception:  # a stranger's module may raise anything
-            cls, error = None, f"failed to import: {type(exception).__name__}: {exception}".partition("\n")[0]
+            cls, error = (
+                None,
+                f"failed to import: {type(exception).__name__}: {exception}".partition("\n")[0],
+            )
         plugins.append(PluginInfo(name, package, version, None if error else cls, error))
     return plugins
 
@@ -166,7 +179,8 @@ class Hooks:
             _check(name, plugin, self.plugins)
         used = {name: plugin for name, plugin in self.plugins.items() if plugin.weight != 0}
         self._users = {
-            hook: tuple(name for name, plugin in used.items() if hook in _implemented(type(plugin))) for hook in HOOKS
+            hook: tuple(name for name, plugin in used.items() if hook in _implemented(type(plugin)))
+            for hook in HOOKS
         }
         self._core = CoreDefaults()
         self._manager = cache(self._make_manager)
@@ -180,13 +194,19 @@ class Hooks:
                 union |= needs
         return union
 
-    def layer(self, network: str, index: int, in_features: int, out_features: int, activation: str) -> nn.Module:
+    def layer(
+        self, network: str, index: int, in_features: int, out_features: int, activation: str
+    ) -> nn.Module:
         """One layer of a network, made by whichever selected plugin makes layers, whatever its window."""
         users = self._users["nerfreg_layer"]
         if not users:
             return self._core.nerfreg_layer(in_features, out_features, activation)
         layer: nn.Module = self._manager(users).hook.nerfreg_layer(
-            network=network, index=index, in_features=in_features, out_features=out_features, activation=activation
+            network=network,
+            index=index,
+            in_features=in_features,
+            out_features=out_features,
+            activation=activation,
         )
         return layer
 
@@ -211,9 +231,13 @@ class Hooks:
         for name, depth in known.items():
             shape = (*photographs.images.shape[:3], 2)
             if tuple(depth.shape) != shape:
-                raise NerfregError(f"plugin {name}, nerfreg_known_depth: has shape {tuple(depth.shape)}, not {shape}")
+                raise NerfregError(
+                    f"plugin {name}, nerfreg_known_depth: has shape {tuple(depth.shape)}, not {shape}"
+                )
             if bool((depth[..., 0] > depth[..., 1]).any()):
-                raise NerfregError(f"plugin {name}, nerfreg_known_depth: some intervals end before they begin")
+                raise NerfregError(
+                    f"plugin {name}, nerfreg_known_depth: some intervals end before they begin"
+                )
         return next(iter(known.values()), None)
 
     def ray_bounds(self, rays: Rays, step: Step) -> tuple[Tensor, Tensor]:
@@ -221,7 +245,9 @@ class Hooks:
         active = self._active("nerfreg_ray_bounds", step)
         if not active:
             return rays.near, rays.far
-        bounds: tuple[Tensor, Tensor] = self._manager(active).hook.nerfreg_ray_bounds(rays=rays, step=step)
+        bounds: tuple[Tensor, Tensor] = self._manager(active).hook.nerfreg_ray_bounds(
+            rays=rays, step=step
+        )
         return bounds
 
     def encoder_input(self, samples: Samples, step: Step) -> Samples:
@@ -229,7 +255,9 @@ class Hooks:
         active = self._active("nerfreg_encoder_input", step)
         if not active:
             return samples
-        changed: Samples = self._manager(active).hook.nerfreg_encoder_input(samples=samples, step=step)
+        changed: Samples = self._manager(active).hook.nerfreg_encoder_input(
+            samples=samples, step=step
+        )
         return changed
 
     def losses(self, rendering: Rendering, step: Step) -> list[Term]:
@@ -241,11 +269,15 @@ class Hooks:
                 for term, value in values.items():
                     if value.ndim != 0:
                         shape = tuple(value.shape)
-                        raise NerfregError(f"plugin {name}: term '{term}' has shape {shape}, return scalars")
+                        raise NerfregError(
+                            f"plugin {name}: term '{term}' has shape {shape}, return scalars"
+                        )
                     terms.append(Term(name, term, float(self.plugins[name].weight), value))
         return terms
 
-    def reference(self, name: str, given: nn.Module | Rays | Samples | Rendering, step: Step) -> dict[str, Any]:
+    def reference(
+        self, name: str, given: nn.Module | Rays | Samples | Rendering, step: Step
+    ) -> dict[str, Any]:
         """The exact values that plugin `name` ships for what it makes of `given`; empty if it ships none."""
         import mpmath
 
@@ -288,7 +320,11 @@ def _check(name: str, plugin: Regularizer, plugins: dict[str, Regularizer]) -> N
                 f"reg.{name}.{key}={value}: must be a step (an integer from 0) or a fraction of the budget (0.0 to 1.0)"
             )
     if type(plugin.start) is type(plugin.end) and plugin.start >= plugin.end:
-        raise NerfregError(f"reg.{name}.start={plugin.start}: must be before reg.{name}.end={plugin.end}")
+        raise NerfregError(
+            f"reg.{name}.start={plugin.start}: must be before reg.{name}.end={plugin.end}"
+        )
     for other in plugin.conflicts:
         if other in plugins:
-            raise NerfregError(f"reg={name} cannot be combined with reg={other}; drop one of the two")
+            raise NerfregError(
+                f"reg={name} cannot be combined with reg={other}; drop one of the two"
+            )

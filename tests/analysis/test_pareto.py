@@ -34,8 +34,12 @@ def test_what_is_as_good_but_slower_is_dominated() -> None:
     assert front([(2.0, 1.0), (1.0, 1.0)]) == [1]
 
 
-@pytest.mark.parametrize("unknown", [(None, 0.0), (0.0, None), (None, None), (0.0, math.nan), (math.inf, 0.0)])
-def test_what_is_unknown_neither_is_on_the_front_nor_dominates(unknown: tuple[float | None, float | None]) -> None:
+@pytest.mark.parametrize(
+    "unknown", [(None, 0.0), (0.0, None), (None, None), (0.0, math.nan), (math.inf, 0.0)]
+)
+def test_what_is_unknown_neither_is_on_the_front_nor_dominates(
+    unknown: tuple[float | None, float | None],
+) -> None:
     assert front([unknown, (1.0, 1.0)]) == [1]
     assert front([unknown]) == []
 

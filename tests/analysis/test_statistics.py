@@ -4,7 +4,13 @@ import math
 
 import pytest
 
-from nerfreg.analysis.statistics import MOST_CELLS, cells_needed, error_of_look, interval, student_quantile
+from nerfreg.analysis.statistics import (
+    MOST_CELLS,
+    cells_needed,
+    error_of_look,
+    interval,
+    student_quantile,
+)
 
 
 @pytest.mark.parametrize(
@@ -26,9 +32,13 @@ def test_quantiles_are_those_of_the_tables(error: float, freedom: int, t: float)
 def test_quantiles_of_one_and_two_degrees_have_a_closed_form() -> None:
     # P(|T| <= t) = (2 / pi) atan(t) with one degree of freedom, t / sqrt(2 + t^2) with two.
     for error in (0.3, 0.05, 1e-4):
-        assert student_quantile(error, 1) == pytest.approx(math.tan(math.pi / 2 * (1 - error)), rel=1e-6)
+        assert student_quantile(error, 1) == pytest.approx(
+            math.tan(math.pi / 2 * (1 - error)), rel=1e-6
+        )
         inside = 1 - error
-        assert student_quantile(error, 2) == pytest.approx(inside * math.sqrt(2 / (1 - inside**2)), rel=1e-6)
+        assert student_quantile(error, 2) == pytest.approx(
+            inside * math.sqrt(2 / (1 - inside**2)), rel=1e-6
+        )
 
 
 def test_an_interval_by_hand() -> None:
@@ -36,7 +46,10 @@ def test_an_interval_by_hand() -> None:
     found = interval([1.0, 2.0, 3.0, 4.0], 0.05)
     assert (found.mean, found.count) == (2.5, 4)
     assert found.deviation == pytest.approx(1.29099, abs=1e-5)
-    assert (found.low, found.high) == (pytest.approx(0.44574, abs=1e-4), pytest.approx(4.55426, abs=1e-4))
+    assert (found.low, found.high) == (
+        pytest.approx(0.44574, abs=1e-4),
+        pytest.approx(4.55426, abs=1e-4),
+    )
 
 
 def test_too_few_differences_say_nothing() -> None:

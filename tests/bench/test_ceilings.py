@@ -11,7 +11,9 @@ from nerfreg.field.layers import Linear
 BOX = torch.tensor([[-1.0, -1.0, -1.0], [1.0, 1.0, 1.0]])
 
 
-def make_layer(network: str, index: int, in_features: int, out_features: int, activation: str) -> Linear:
+def make_layer(
+    network: str, index: int, in_features: int, out_features: int, activation: str
+) -> Linear:
     return Linear(in_features, out_features, activation)
 
 
@@ -30,7 +32,9 @@ def test_flop_of_a_step() -> None:
 
 
 def test_biases_are_no_products() -> None:
-    def biased(network: str, index: int, in_features: int, out_features: int, activation: str) -> torch.nn.Module:
+    def biased(
+        network: str, index: int, in_features: int, out_features: int, activation: str
+    ) -> torch.nn.Module:
         return torch.nn.Linear(in_features, out_features)
 
     field = RadianceField(FieldConfig(levels=16, finest=32, log2_entries=8), BOX, biased)

@@ -46,7 +46,9 @@ def test_weights_underflow_but_their_logarithms_do_not() -> None:
 
 
 def test_every_precision_gets_the_same_rays() -> None:
-    single, double = (NAMED["benign"].rendering(16, 8, dtype) for dtype in (torch.float32, torch.float64))
+    single, double = (
+        NAMED["benign"].rendering(16, 8, dtype) for dtype in (torch.float32, torch.float64)
+    )
     torch.testing.assert_close(single.weights.double(), double.weights, rtol=1e-5, atol=1e-7)
 
 
@@ -58,7 +60,9 @@ def test_what_is_known_of_depth_holds_the_surface(name: str) -> None:
     known = first.isfinite()
     assert known.tolist() == [ray % 4 > 0 for ray in range(32)]
     assert torch.equal(known, last.isfinite())
-    torch.testing.assert_close((last - first)[known], torch.full((24,), 0.1 * (given.far - given.near)).double())
+    torch.testing.assert_close(
+        (last - first)[known], torch.full((24,), 0.1 * (given.far - given.near)).double()
+    )
     # The middle of the interval that most light is lost in is next to where the surface was put.
     place = rendering.t.gather(1, rendering.tau.argmax(dim=1, keepdim=True)).squeeze(1)
     assert ((place > first) & (place < last))[known].all()

@@ -26,7 +26,11 @@ class Haze(Regularizer):
 
     @hookimpl
     def nerfreg_reference(self, given, step: Step):
-        return {"haze": 1.1 * given.opacity.double().mean().item()} if isinstance(given, Rendering) else None
+        return (
+            {"haze": 1.1 * given.opacity.double().mean().item()}
+            if isinstance(given, Rendering)
+            else None
+        )
 
 
 @dataclass
@@ -81,7 +85,9 @@ def test_rivals_stand_beside_the_plugin_of_their_name() -> None:
 
 
 def test_pairs_are_left_out_where_they_take_too_much_memory() -> None:
-    points = measure(info(Haze, "distortion"), Sizes((512, 513), rays=16, exact_rays=16, repetitions=1))
+    points = measure(
+        info(Haze, "distortion"), Sizes((512, 513), rays=16, exact_rays=16, repetitions=1)
+    )
     assert {point.samples for point in points if point.form == "all pairs"} == {512}
 
 
@@ -106,7 +112,9 @@ def test_nothing_to_measure(tmp_path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_gradients_reach_what_the_loss_reads() -> None:
     rendering = losses.INPUTS[0].rendering(16, 8)
-    value, gradients = forward_and_backward(lambda rendering: rendering.opacity.square().mean(), rendering)
+    value, gradients = forward_and_backward(
+        lambda rendering: rendering.opacity.square().mean(), rendering
+    )
     assert value == rendering.opacity.square().mean()
     torch.testing.assert_close(gradients["opacity"], rendering.opacity / 8)
     assert gradients["weights"] is None

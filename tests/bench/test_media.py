@@ -26,7 +26,9 @@ def test_thickness_is_the_integral_of_density(medium: Medium, end: float) -> Non
     with mp.workdps(15):
         expected = mpmath.quad(lambda t: density(medium, t), pieces)
         # The wall's own edges take part in the rounding of the quadrature's nodes.
-        assert float(medium.thickness(mp.mpf(end))) == pytest.approx(float(expected), rel=1e-8, abs=1e-12)
+        assert float(medium.thickness(mp.mpf(end))) == pytest.approx(
+            float(expected), rel=1e-8, abs=1e-12
+        )
 
 
 @pytest.mark.parametrize("medium", MEDIA, ids=lambda medium: medium.name)
@@ -35,7 +37,11 @@ def test_exact_is_the_rendering_integral(medium: Medium) -> None:
     def integral(f):
         with mp.workdps(15):
             pieces = [0, *medium.breaks(), 1]
-            return float(mpmath.quad(lambda t: f(t) * density(medium, t) * mpmath.exp(-medium.thickness(t)), pieces))
+            return float(
+                mpmath.quad(
+                    lambda t: f(t) * density(medium, t) * mpmath.exp(-medium.thickness(t)), pieces
+                )
+            )
 
     opacity, depth, rgb = exact(medium)
     assert integral(lambda t: 1) == pytest.approx(opacity, rel=1e-6)

@@ -11,7 +11,16 @@ from matplotlib.image import imread
 
 from nerfreg.bench import overhead
 from nerfreg.bench.configured import TINY, compose
-from nerfreg.bench.overhead import NO_MANAGER, Point, Sizes, Variant, choose, compare, measure, start_alike
+from nerfreg.bench.overhead import (
+    NO_MANAGER,
+    Point,
+    Sizes,
+    Variant,
+    choose,
+    compare,
+    measure,
+    start_alike,
+)
 from nerfreg.bench.overhead_report import LIMITS, Limit, print_table, summarize
 from nerfreg.cli import main
 from nerfreg.errors import NerfregError
@@ -23,13 +32,20 @@ KL = Variant("kl", "plugin", ("+reg=kl",))
 
 
 def point(variant: str, share: float, ratio: float) -> Point:
-    return Point(variant, "plugin", share, ratio, 1.0, ratio, ratio - 0.1, ratio + 0.1, 3, 20.0, 10.0)
+    return Point(
+        variant, "plugin", share, ratio, 1.0, ratio, ratio - 0.1, ratio + 0.1, 3, 20.0, 10.0
+    )
 
 
 def test_all_plugins_and_presets_and_no_manager() -> None:
     kinds = {variant.name: variant.kind for variant in choose(())}
     assert kinds[NO_MANAGER] == "core"
-    assert {name for name, kind in kinds.items() if kind == "plugin"} >= {"kl", "lipschitz", "annealing", "adversarial"}
+    assert {name for name, kind in kinds.items() if kind == "plugin"} >= {
+        "kl",
+        "lipschitz",
+        "annealing",
+        "adversarial",
+    }
     assert {name for name, kind in kinds.items() if kind == "preset"} >= {
         "combinerf",
         "combinerf_sharp",
@@ -41,7 +57,10 @@ def test_all_plugins_and_presets_and_no_manager() -> None:
 
 def test_some_of_them() -> None:
     assert [variant.name for variant in choose(("combinerf", "kl"))] == ["kl", "combinerf"]
-    with pytest.raises(NerfregError, match="--only combinrf: no installed plugin or preset; did you mean 'combinerf'"):
+    with pytest.raises(
+        NerfregError,
+        match="--only combinrf: no installed plugin or preset; did you mean 'combinerf'",
+    ):
         choose(("kl", "combinrf"))
 
 
@@ -50,14 +69,28 @@ def test_ratio_of_each_round_to_vanilla_in_the_same_round() -> None:
     # their quantiles not: linear interpolation puts 90 % of five values 0.6 of the way from the fourth to the fifth.
     own, vanilla = [2.0, 4.0, 20.0, 6.0, 7.0], [1.0, 2.0, 10.0, 3.0, 1.0]
     compared = compare(KL, 0.25, (own, 300.0), (vanilla, 100.0))
-    assert (compared.variant, compared.kind, compared.share, compared.rounds) == ("kl", "plugin", 0.25, 5)
+    assert (compared.variant, compared.kind, compared.share, compared.rounds) == (
+        "kl",
+        "plugin",
+        0.25,
+        5,
+    )
     assert (compared.milliseconds, compared.vanilla_milliseconds) == (6000.0, 2000.0)
-    assert (compared.ratio, compared.ratio_p10, compared.ratio_p90) == (2.0, 2.0, pytest.approx(5.0))
+    assert (compared.ratio, compared.ratio_p10, compared.ratio_p90) == (
+        2.0,
+        2.0,
+        pytest.approx(5.0),
+    )
     assert (compared.points, compared.vanilla_points) == (300.0, 100.0)
 
 
 def test_summary_is_the_mean_over_the_shares() -> None:
-    points = [point("kl", 0.1, 1.0), point("mask", 0.1, 0.5), point("kl", 0.9, 1.4), point("mask", 0.9, 0.9)]
+    points = [
+        point("kl", 0.1, 1.0),
+        point("mask", 0.1, 0.5),
+        point("kl", 0.9, 1.4),
+        point("mask", 0.9, 0.9),
+    ]
     kl, mask = summarize(points)
     assert (kl.variant, mask.variant) == ("kl", "mask")
     assert (kl.ratio, kl.p10, kl.p90) == pytest.approx((1.2, 1.1, 1.3))
@@ -72,9 +105,19 @@ def test_limits_have_two_digits() -> None:
 
 
 def test_table_names_ratio_limit_and_what_misses_it(capsys: pytest.CaptureFixture[str]) -> None:
-    summary = summarize([point("combinerf", 0.5, 1.234), point("distortion", 0.5, 1.01), point("occlusion", 0.5, 9.0)])
+    summary = summarize(
+        [
+            point("combinerf", 0.5, 1.234),
+            point("distortion", 0.5, 1.01),
+            point("occlusion", 0.5, 9.0),
+        ]
+    )
     print_table(summary, compose(()), "nowhere", Sizes((0.5,), 3, 1, 1, 1))
-    lines = {line.split()[0]: line.split()[1:] for line in capsys.readouterr().out.splitlines() if line.strip()}
+    lines = {
+        line.split()[0]: line.split()[1:]
+        for line in capsys.readouterr().out.splitlines()
+        if line.strip()
+    }
     assert lines["combinerf"] == ["1.234", "1.13-1.33", "2.00", "1.15", "missed"]
     assert lines["distortion"] == ["1.010", "0.91-1.11", "2.00", "1.03"]
     assert lines["occlusion"] == ["9.000", "8.90-9.10", "2.00"]
@@ -110,7 +153,9 @@ def test_all_start_with_the_same_weights(make: Callable[..., Trainer]) -> None:
     # Biases draw random numbers of their own, so that without help the next layer's weights would differ.
     biased = make("+reg=lipschitz", "reg.lipschitz.bias=true")
     theirs, own = dict(vanilla.field.named_parameters()), dict(biased.field.named_parameters())
-    assert not torch.equal(own["density_network.layers.1.weight"], theirs["density_network.layers.1.weight"])
+    assert not torch.equal(
+        own["density_network.layers.1.weight"], theirs["density_network.layers.1.weight"]
+    )
     start_alike(biased, vanilla)
     assert {name.rpartition(".")[2] for name in set(own) - set(theirs)} == {"k", "bias"}
     assert all(torch.equal(own[name], theirs[name]) for name in theirs)
@@ -120,13 +165,33 @@ def test_without_manager_is_vanilla(make: Callable[..., Trainer]) -> None:
     vanilla = make()
     bare = Variant(NO_MANAGER, "core").trainer((*TINY, *SCENE), vanilla.scene)
     for _ in range(3):
-        assert [float(term.value) for term in vanilla.step()] == [float(term.value) for term in bare.step()]
+        assert [float(term.value) for term in vanilla.step()] == [
+            float(term.value) for term in bare.step()
+        ]
 
 
-def test_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+def test_command(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     monkeypatch.chdir(tmp_path)
-    assert main(["bench", "overhead", "--quick", *SCENE, "--only", "annealing,ablation_lip", "-o", "out"]) == 0
-    assert capsys.readouterr().out.splitlines()[-3:] == [f"out/overhead.{end}" for end in ("csv", "png", "svg")]
+    assert (
+        main(
+            [
+                "bench",
+                "overhead",
+                "--quick",
+                *SCENE,
+                "--only",
+                "annealing,ablation_lip",
+                "-o",
+                "out",
+            ]
+        )
+        == 0
+    )
+    assert capsys.readouterr().out.splitlines()[-3:] == [
+        f"out/overhead.{end}" for end in ("csv", "png", "svg")
+    ]
     assert sorted(path.name for path in tmp_path.iterdir()) == ["out"]
     assert imread("out/overhead.png").shape[1] >= 1200
     with Path("out/overhead.csv").open(newline="") as file:

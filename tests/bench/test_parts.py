@@ -58,11 +58,22 @@ def test_everything_is_put_back(make: Callable[..., Trainer]) -> None:
         assert renderer.stratified is not before
         assert "losses" in vars(trainer.hooks) and "step" in vars(trainer)
     assert renderer.stratified is before
-    for owner in (trainer, trainer.hooks, trainer.field.grid, trainer.renderer, trainer.optimizer, trainer.average):
-        assert not {"step", "losses", "needs", "forward", "render", "update"} & set(vars(owner)), owner
+    for owner in (
+        trainer,
+        trainer.hooks,
+        trainer.field.grid,
+        trainer.renderer,
+        trainer.optimizer,
+        trainer.average,
+    ):
+        assert not {"step", "losses", "needs", "forward", "render", "update"} & set(vars(owner)), (
+            owner
+        )
 
 
-def test_backward_time_belongs_to_the_part_that_went_forward(make: Callable[..., Trainer], monkeypatch) -> None:
+def test_backward_time_belongs_to_the_part_that_went_forward(
+    make: Callable[..., Trainer], monkeypatch
+) -> None:
     # A colour loss whose gradient takes long: nothing else may be charged with it.
     clock = [0.0]
     monkeypatch.setattr(stopwatch, "perf_counter", lambda: clock[0])
@@ -78,7 +89,9 @@ def test_backward_time_belongs_to_the_part_that_went_forward(make: Callable[...,
             clock[0] += 10
             return grad
 
-    monkeypatch.setattr(loss, "color_error", lambda rendering: Slow.apply(rendering.rgb).square().mean())
+    monkeypatch.setattr(
+        loss, "color_error", lambda rendering: Slow.apply(rendering.rgb).square().mean()
+    )
     assert {part: ms for part, ms in measure_parts(make(), 0.5, 1).items() if ms} == {
         "color loss": 1e3,
         f"color loss{BACKWARD}": 1e4,

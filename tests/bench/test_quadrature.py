@@ -58,11 +58,17 @@ def test_errors_are_those_of_the_rendering() -> None:
     rays = Bundle(medium, torch.zeros(1), torch.ones(1), torch.Generator())
     _, opacity, depth, rgb = render(rays, "uniform", 16)
     truth = exact(medium)
-    (measured,) = [p for p in measure(medium, torch.float32, Sizes((16,), 4, 1)) if p.sampler == "uniform"]
-    assert measured.opacity_error == pytest.approx(abs(opacity.item() - truth.opacity) / truth.opacity, rel=1e-3)
+    (measured,) = [
+        p for p in measure(medium, torch.float32, Sizes((16,), 4, 1)) if p.sampler == "uniform"
+    ]
+    assert measured.opacity_error == pytest.approx(
+        abs(opacity.item() - truth.opacity) / truth.opacity, rel=1e-3
+    )
     assert measured.depth_error == pytest.approx(abs(depth.item() - truth.depth), rel=1e-3)
     off = (rgb[0].double() - torch.tensor(truth.color, dtype=torch.float64)).norm().item()
-    assert measured.color_error == pytest.approx(off / sum(c**2 for c in truth.color) ** 0.5, rel=1e-3)
+    assert measured.color_error == pytest.approx(
+        off / sum(c**2 for c in truth.color) ** 0.5, rel=1e-3
+    )
     assert measured.color_error_p10 == pytest.approx(measured.color_error_p90, rel=1e-5)
     assert (measured.samples, measured.evaluations) == (16, 16)
 

@@ -21,7 +21,13 @@ KEYS = {
 @pytest.fixture
 def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.chdir(tmp_path)
-    small = ["scene.size=24", "scene.height=16", "scene.views=3", "scene.test_views=2", "train.threads=1"]
+    small = [
+        "scene.size=24",
+        "scene.height=16",
+        "scene.views=3",
+        "scene.test_views=2",
+        "train.threads=1",
+    ]
     small += ["sampler.skip_resolution=16", "train.steps=3", "train.quiet=true", "eval.lpips=false"]
     assert main(["train", *TINY, *small, "+reg=annealing", "hydra.run.dir=run"]) == 0
     return Path("run")
@@ -32,14 +38,22 @@ def test_the_last_line_is_json(run: Path, capsys: pytest.CaptureFixture[str]) ->
     assert main(["bench", "render", "run", "--views", "3", "-o", "out"]) == 0
     record = json.loads(capsys.readouterr().out.splitlines()[-1])
     assert set(record) == KEYS
-    expected = {"run": "run", "scene": "procedural-orbit", "reg": ["annealing"], "views": 3, "threads": 1}
+    expected = {
+        "run": "run",
+        "scene": "procedural-orbit",
+        "reg": ["annealing"],
+        "views": 3,
+        "threads": 1,
+    }
     assert {key: record[key] for key in expected} == expected
     assert (record["width"], record["height"]) == (24, 16)
     assert json.loads(Path("out/render.json").read_text()) == record
     assert sorted(path.name for path in Path().iterdir()) == ["out", "run"]
 
 
-def test_evaluations_are_those_of_the_timed_views(run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_evaluations_are_those_of_the_timed_views(
+    run: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     config, scene, field, _ = load_run(run)
     seen: list[int] = []
 

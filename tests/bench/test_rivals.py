@@ -11,7 +11,11 @@ from nerfreg.bench.rivals import RIVALS, Rival
 from nerfreg.hooks import Step
 from nerfreg.registry import Hooks, installed
 
-CASES = [pytest.param(name, rival, id=f"{name}: {rival.name}") for name in RIVALS for rival in RIVALS[name]]
+CASES = [
+    pytest.param(name, rival, id=f"{name}: {rival.name}")
+    for name in RIVALS
+    for rival in RIVALS[name]
+]
 
 
 def given(name: str) -> Input:
@@ -33,7 +37,9 @@ def test_agrees_with_the_plugin_forward_and_backward(name: str, rival: Rival) ->
     # 1e-10 is added to numbers of the order 1 / N, at most.
     torch.testing.assert_close(other, value, rtol=1e-7, atol=0.0)
     total = sum(gradient.sum() for gradient in _common(gradients, others)[0])
-    torch.testing.assert_close(sum(gradient.sum() for gradient in _common(gradients, others)[1]), total)
+    torch.testing.assert_close(
+        sum(gradient.sum() for gradient in _common(gradients, others)[1]), total
+    )
 
 
 def _common(gradients, others):

@@ -5,7 +5,15 @@ import torch
 from torch import Tensor
 
 from nerfreg.bench.media import Wall, Walls
-from nerfreg.bench.samplers import CELLS, SAMPLERS, Bundle, by_importance, jittered, skipping, uniform
+from nerfreg.bench.samplers import (
+    CELLS,
+    SAMPLERS,
+    Bundle,
+    by_importance,
+    jittered,
+    skipping,
+    uniform,
+)
 
 SLAB = Walls(name="slab", title="", walls=(Wall(0.0, 1.0, 3.0),))
 # Six cells of the occupancy grid, found by the first look in any of them.

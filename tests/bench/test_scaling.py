@@ -30,10 +30,26 @@ def test_fit_of_a_power_and_of_a_line() -> None:
 
 
 def test_one_thing_is_swept_at_a_time() -> None:
-    config = compose(("train.rays=100", "sampler.coarse=8", "sampler.fine=8", "field.levels=4", "field.log2_entries=9"))
+    config = compose(
+        (
+            "train.rays=100",
+            "sampler.coarse=8",
+            "sampler.fine=8",
+            "field.levels=4",
+            "field.log2_entries=9",
+        )
+    )
     sizes = Sizes(rays=(50,), samples=(7,), levels=(2,), log2_entries=(12,), steps=1, warmup=1)
     made = [
-        (swept, value, c.train.rays, c.sampler.coarse, c.sampler.fine, c.field.levels, c.field.log2_entries)
+        (
+            swept,
+            value,
+            c.train.rays,
+            c.sampler.coarse,
+            c.sampler.fine,
+            c.field.levels,
+            c.field.log2_entries,
+        )
         for swept, value, c in sweeps(config, sizes)
     ]
     assert made == [
@@ -44,7 +60,9 @@ def test_one_thing_is_swept_at_a_time() -> None:
     ]
 
 
-def test_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+def test_command(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     monkeypatch.chdir(tmp_path)
     small = ["scene.size=24", "scene.views=3", "scene.test_views=2", "train.threads=1"]
     assert main(["bench", "scaling", "--quick", "--steps", "1", *small]) == 0
@@ -53,7 +71,14 @@ def test_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest
     assert imread(paths[1]).shape[1] >= 1200
     with Path(paths[0]).open(newline="") as file:
         lines = list(csv.DictReader(file))
-    assert list(lines[0]) == ["swept", "value", "milliseconds", "milliseconds_p10", "milliseconds_p90", "points"]
+    assert list(lines[0]) == [
+        "swept",
+        "value",
+        "milliseconds",
+        "milliseconds_p10",
+        "milliseconds_p90",
+        "points",
+    ]
     # 32 and 64 rays of 16 samples; 64 rays of 8 and 16; 64 x 16 for the rest.
     assert [(line["swept"], line["value"], line["points"]) for line in lines] == [
         ("rays", "32", "512"), ("rays", "64", "1024"), ("samples", "8", "512"), ("samples", "16", "1024"),

@@ -24,7 +24,15 @@ def test_the_last_line_is_json(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    words = ["+reg=[distortion,lipschitz]", *SCENE, "sampler.fine=4", "--at", "0.25", "--steps", "2"]
+    words = [
+        "+reg=[distortion,lipschitz]",
+        *SCENE,
+        "sampler.fine=4",
+        "--at",
+        "0.25",
+        "--steps",
+        "2",
+    ]
     assert main(["bench", "step", "--quick", *words]) == 0
     out = capsys.readouterr().out
     record = json.loads(out.splitlines()[-1])
@@ -35,13 +43,23 @@ def test_the_last_line_is_json(
     assert 0 < record["colors_per_step"] <= 64 * 12
     assert record["points_per_second"] == pytest.approx(64 * 12 / record["ms"] * 1e3)
     assert record["ms_p10"] <= record["ms"] <= record["ms_p90"]
-    summary = {"scene": "procedural-orbit", "reg": ["distortion", "lipschitz"], "rays": 64, "at": 0.25, "threads": 1}
+    summary = {
+        "scene": "procedural-orbit",
+        "reg": ["distortion", "lipschitz"],
+        "rays": 64,
+        "at": 0.25,
+        "threads": 1,
+    }
     assert {key: record[key] for key in summary} == summary
     assert (record["levels"], record["log2_entries"], record["finest"]) == (4, 10, 32)
-    assert {"rays", "sampling", "hash grid", "hash grid backward", "networks", "optimizer"} <= set(record["parts_ms"])
+    assert {"rays", "sampling", "hash grid", "hash grid backward", "networks", "optimizer"} <= set(
+        record["parts_ms"]
+    )
     assert "One training step in parts" in out
     # Nothing but its own file: no run folder of Hydra's.
-    assert [path.relative_to(tmp_path) for path in tmp_path.rglob("*.*")] == [Path("bench/step/step.json")]
+    assert [path.relative_to(tmp_path) for path in tmp_path.rglob("*.*")] == [
+        Path("bench/step/step.json")
+    ]
     assert json.loads(Path("bench/step/step.json").read_text()) == record
 
 

@@ -49,7 +49,10 @@ def test_rounds_are_kept_apart(clock: SimpleNamespace) -> None:
     def take(name: str) -> None:
         clock.now += next(durations[name])
 
-    assert in_turns([lambda: take("a"), lambda: take("b")], 3) == [[1.0, 2.0, 3.0], [10.0, 20.0, 30.0]]
+    assert in_turns([lambda: take("a"), lambda: take("b")], 3) == [
+        [1.0, 2.0, 3.0],
+        [10.0, 20.0, 30.0],
+    ]
 
 
 def test_spread_of_eleven_values() -> None:

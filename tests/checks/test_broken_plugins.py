@@ -61,7 +61,9 @@ class GradientOfRoot(Regularizer):
 def test_infinite_gradient_of_a_finite_value(subject):
     report = check_plugin(subject(GradientOfRoot), grid("fog", "empty"))
     assert report.state("value") == "ok"
-    assert {(failure.spot.case, failure.check) for failure in report.failures} == {("empty", "gradient")}
+    assert {(failure.spot.case, failure.check) for failure in report.failures} == {
+        ("empty", "gradient")
+    }
 
 
 @dataclass
@@ -87,7 +89,10 @@ class PrefixSums(Regularizer):
                 for a, m in zip(weights, middles, strict=True)
                 for b, n in zip(weights, middles, strict=True)
             ]
-            own = [w**2 * (high - low) / 3 for w, (low, high) in zip(weights, pairwise(edges), strict=True)]
+            own = [
+                w**2 * (high - low) / 3
+                for w, (low, high) in zip(weights, pairwise(edges), strict=True)
+            ]
             rays.append(mpmath.fsum(pairs) + mpmath.fsum(own))
         return {"suspect": mpmath.fsum(rays) / len(rays)}
 
@@ -95,7 +100,9 @@ class PrefixSums(Regularizer):
 def test_prefix_sums_cancel(subject):
     at_48 = grid("fog", "packed")
     report = check_plugin(subject(PrefixSums), replace(at_48, samples=12))
-    assert {(failure.spot.case, failure.check) for failure in report.failures} == {("packed", "error")}
+    assert {(failure.spot.case, failure.check) for failure in report.failures} == {
+        ("packed", "error")
+    }
     assert report.worst["float32"].spot.case == "packed"
     assert report.worst["float32"].exact
     # between 10000 and 10001 a product w m carries a rounding error of about 1e4 * 6e-8, against a spread below 1
@@ -145,7 +152,10 @@ def test_wrong_gradient_sign(subject):
     [failure] = report.failures
     assert (failure.spot.case, failure.spot.dtype, failure.check) == ("fog", "float64", "gradient")
     words = failure.message.replace(",", "").split()
-    by_autograd, by_differences = float(words[words.index("by") - 1]), float(words[words.index("finite") - 2])
+    by_autograd, by_differences = (
+        float(words[words.index("by") - 1]),
+        float(words[words.index("finite") - 2]),
+    )
     assert by_autograd == pytest.approx(-by_differences, rel=1e-4)
 
 
@@ -179,7 +189,10 @@ class SumOverRays(Regularizer):
 def test_size_and_order_of_the_batch(subject):
     report = check_plugin(subject(SumOverRays), grid("fog"))
     found = {failure.message.partition(":")[0] for failure in report.failures}
-    assert found == {"term 'sum' depends on twice the same rays", "term 'first' depends on the order of the rays"}
+    assert found == {
+        "term 'sum' depends on twice the same rays",
+        "term 'first' depends on the order of the rays",
+    }
     assert {failure.check for failure in report.failures} == {"invariance"}
 
 
@@ -213,7 +226,9 @@ class SwappedBounds(Regularizer):
 
 def test_near_beyond_far(subject):
     report = check_plugin(subject(SwappedBounds), grid("fog", "near_is_far"))
-    assert {(failure.spot.case, failure.check) for failure in report.failures} == {("fog", "contract")}
+    assert {(failure.spot.case, failure.check) for failure in report.failures} == {
+        ("fog", "contract")
+    }
     assert report.failures[0].message.startswith("at 0 of the run: near > far on 20 of 20 rays")
 
 
@@ -292,7 +307,10 @@ class UnboundedRows(Regularizer):
 
     @hookimpl
     def nerfreg_contract(self):
-        return {"rows": max(float(layer.weight.detach().abs().sum(-1).max()) for layer in self._layers) - 1}
+        return {
+            "rows": max(float(layer.weight.detach().abs().sum(-1).max()) for layer in self._layers)
+            - 1
+        }
 
 
 def test_contract_of_a_layer(subject):
@@ -304,7 +322,10 @@ def test_contract_of_a_layer(subject):
         "contract",
         "promise broken: rows, by 8e+30",
     )
-    assert report.reproduction(failure.spot) == "nerfreg check suspect --case layer_initial --dtype float32"
+    assert (
+        report.reproduction(failure.spot)
+        == "nerfreg check suspect --case layer_initial --dtype float32"
+    )
 
 
 class Exponential(Unbounded):
@@ -323,7 +344,9 @@ class OverflowingLayer(Regularizer):
 
 def test_overflow_of_a_layer(subject):
     report = check_plugin(subject(OverflowingLayer), grid("layer_-50", "layer_0", "layer_1e4"))
-    assert {(failure.spot.case, failure.check) for failure in report.failures} >= {("layer_1e4", "value")}
+    assert {(failure.spot.case, failure.check) for failure in report.failures} >= {
+        ("layer_1e4", "value")
+    }
     assert {failure.spot.case for failure in report.failures} == {"layer_1e4"}
 
 
@@ -369,7 +392,9 @@ class Raises(Regularizer):
 
 def test_exception_is_a_failure_of_the_case(subject):
     report = check_plugin(subject(Raises), grid("fog", "empty"))
-    assert [failure.message for failure in report.failures] == ["raises ValueError: no such thing"] * 2
+    assert [failure.message for failure in report.failures] == [
+        "raises ValueError: no such thing"
+    ] * 2
     assert report.verdict == "FAIL"
 
 

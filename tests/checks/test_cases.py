@@ -37,7 +37,8 @@ def test_is_a_valid_batch_and_always_the_same(case, samples):
 
 
 @pytest.mark.parametrize(
-    ("name", "total"), [("thickness_1e-12", 1e-12), ("thickness_1e6", 1e6), ("thickness_1e30", 1e30)]
+    ("name", "total"),
+    [("thickness_1e-12", 1e-12), ("thickness_1e6", 1e6), ("thickness_1e30", 1e30)],
 )
 def test_thickness(name, total):
     """Each ray has the named thickness times a factor of its own, from 0.5 to 1.5."""

@@ -8,7 +8,9 @@ from nerfreg.checks.grid import Grid, check_compositor
 from nerfreg.rendering.compositing import composite
 
 NAMES = ("fog", "thickness_1e-12", "thickness_1e30", "empty")
-GRID = Grid(cases=tuple(case for case in CASES if case.name in NAMES), dtypes=("float32",), samples=48)
+GRID = Grid(
+    cases=tuple(case for case in CASES if case.name in NAMES), dtypes=("float32",), samples=48
+)
 
 
 def subtracting(sigma, rgb, t_edges, background=None):

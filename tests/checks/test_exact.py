@@ -26,7 +26,9 @@ def test_composite_by_hand():
 
 
 def test_empty_ray_has_the_depth_of_its_far_end():
-    [ray] = composite_exactly(torch.zeros(1, 2), torch.ones(1, 2, 3), torch.tensor([[1.0, 2.0, 5.0]]))
+    [ray] = composite_exactly(
+        torch.zeros(1, 2), torch.ones(1, 2, 3), torch.tensor([[1.0, 2.0, 5.0]])
+    )
     assert (ray.opacity, ray.depth, ray.rgb) == (0, 5, [0, 0, 0])
     assert ray.weights == [0, 0]
 

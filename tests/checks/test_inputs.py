@@ -23,7 +23,14 @@ def batch() -> Inputs:
         known_depth=torch.stack([number, number + 1], dim=1)[:4],
     )
     edges = torch.stack([number, number + 1], dim=1)
-    return Inputs(rays, number[:, None], number[:, None, None].expand(5, 1, 3), edges, torch.zeros(5, 1, 4), (0.0, 6.0))
+    return Inputs(
+        rays,
+        number[:, None],
+        number[:, None, None].expand(5, 1, 3),
+        edges,
+        torch.zeros(5, 1, 4),
+        (0.0, 6.0),
+    )
 
 
 def assert_consistent(inputs: Inputs, copies: int) -> None:
@@ -35,8 +42,12 @@ def assert_consistent(inputs: Inputs, copies: int) -> None:
     assert torch.equal(rays.far, number + 1)
     assert torch.equal(rays.targets[:, 0], number[: len(rays.targets)])
     assert torch.equal(rays.known_depth[:, 1], number[: len(rays.targets)] + 1)
-    assert torch.equal(number[rays.patches], torch.tensor([[[0.0, 1.0], [2.0, 3.0]]]).repeat(copies, 1, 1))
-    assert torch.equal(number[rays.neighbors], torch.tensor([[0.0, 1.0], [2.0, 3.0], [0.0, 2.0]]).repeat(copies, 1))
+    assert torch.equal(
+        number[rays.patches], torch.tensor([[[0.0, 1.0], [2.0, 3.0]]]).repeat(copies, 1, 1)
+    )
+    assert torch.equal(
+        number[rays.neighbors], torch.tensor([[0.0, 1.0], [2.0, 3.0], [0.0, 2.0]]).repeat(copies, 1)
+    )
     assert torch.equal(number[rays.unseen], torch.full((copies,), 4.0))
     assert torch.equal(number[rays.unseen_patches], torch.full((copies, 1, 1), 4.0))
 
@@ -58,7 +69,9 @@ def test_repeated_keeps_rays_with_targets_in_front():
 
 def test_scaled_keeps_optical_thickness():
     scaled = batch().scaled(4.0)
-    assert torch.equal(scaled.density * scaled.t_edges.diff(), batch().density * batch().t_edges.diff())
+    assert torch.equal(
+        scaled.density * scaled.t_edges.diff(), batch().density * batch().t_edges.diff()
+    )
     assert scaled.bounds == (0.0, 24.0)
     assert scaled.rays.far.tolist() == [4, 8, 12, 16, 20]
     assert scaled.rays.known_depth[:, 1].tolist() == [4, 8, 12, 16]
@@ -69,7 +82,14 @@ def test_scaled_keeps_optical_thickness():
 def test_to_casts_every_number_and_no_index():
     inputs = batch().to(torch.bfloat16)
     rays = inputs.rays
-    floats = (inputs.density, inputs.colors, inputs.t_edges, rays.near, rays.targets, rays.background)
+    floats = (
+        inputs.density,
+        inputs.colors,
+        inputs.t_edges,
+        rays.near,
+        rays.targets,
+        rays.background,
+    )
     assert {tensor.dtype for tensor in floats} == {torch.bfloat16}
     assert rays.patches.dtype == rays.neighbors.dtype == rays.unseen.dtype == torch.int64
 

@@ -16,7 +16,9 @@ def samples(density: float | None, color: float | None) -> Samples:
 
 
 @pytest.mark.parametrize("backend", BACKENDS)
-@pytest.mark.parametrize(("density", "color"), [(None, None), (0.0, 0.0), (3.0, 4.0), (2.5, 0.5), (8.0, 16.0)])
+@pytest.mark.parametrize(
+    ("density", "color"), [(None, None), (0.0, 0.0), (3.0, 4.0), (2.5, 0.5), (8.0, 16.0)]
+)
 def test_dead_features_have_no_influence(backend, density, color):
     assert wrong_masks(samples(density, color), backend) == []
 
@@ -24,8 +26,12 @@ def test_dead_features_have_no_influence(backend, density, color):
 @pytest.mark.parametrize("backend", BACKENDS)
 def test_field_that_does_not_mask(backend, monkeypatch):
     raw_density, color = RadianceField.raw_density, RadianceField.color
-    monkeypatch.setattr(RadianceField, "raw_density", lambda self, positions, active: raw_density(self, positions))
-    monkeypatch.setattr(RadianceField, "color", lambda self, raw, harmonics, active: color(self, raw, harmonics))
+    monkeypatch.setattr(
+        RadianceField, "raw_density", lambda self, positions, active: raw_density(self, positions)
+    )
+    monkeypatch.setattr(
+        RadianceField, "color", lambda self, raw, harmonics, active: color(self, raw, harmonics)
+    )
     assert wrong_masks(samples(3.0, 4.0), backend) == [
         f"{backend} field: dead grid features have a gradient",
         f"{backend} field: dead grid features change the density",

@@ -92,7 +92,9 @@ class TwoViews(Everywhere):
 def test_a_single_view_is_tried(subject):
     report = check_plugin(subject(TwoViews), grid())
     assert [failure.spot.case for failure in report.failures] == ["photos_one"]
-    assert report.reproduction(report.failures[0].spot).endswith("--case photos_one --dtype float32")
+    assert report.reproduction(report.failures[0].spot).endswith(
+        "--case photos_one --dtype float32"
+    )
 
 
 def test_half_known_intervals_are_wrong():

@@ -23,7 +23,11 @@ def made() -> Report:
 
 def test_states():
     report = made()
-    assert [report.state(check) for check in ("value", "gradient", "error")] == ["FAIL", "n/a", "FAIL"]
+    assert [report.state(check) for check in ("value", "gradient", "error")] == [
+        "FAIL",
+        "n/a",
+        "FAIL",
+    ]
     assert report.verdict == "FAIL"
     assert Report("idle").verdict == "n/a"
     assert len(report.spots) == 2

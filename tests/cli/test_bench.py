@@ -27,7 +27,9 @@ FORMS = {
 }
 
 
-def bench(capsys: pytest.CaptureFixture[str], name: str, *words: str) -> tuple[str, list[dict[str, str]], Path]:
+def bench(
+    capsys: pytest.CaptureFixture[str], name: str, *words: str
+) -> tuple[str, list[dict[str, str]], Path]:
     """What a bench prints, the lines of its CSV file, and the folder that the printed paths lie in."""
     assert main(["bench", name, "--quick", *words]) == 0
     out = capsys.readouterr().out
@@ -39,14 +41,27 @@ def bench(capsys: pytest.CaptureFixture[str], name: str, *words: str) -> tuple[s
         return out, list(csv.DictReader(file)), paths[0].parent
 
 
-def test_quadrature(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+def test_quadrature(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     monkeypatch.chdir(tmp_path)
     out, points, folder = bench(capsys, "quadrature")
     assert folder == Path("bench", "quadrature")
     # 9 media, 4 samplers, 2 precisions.
     assert len(points) == 72 * len(quadrature.QUICK.samples)
-    assert list(points[0])[:6] == ["medium", "sampler", "dtype", "samples", "evaluations", "microseconds"]
-    errors = [f"{quantity}_error{end}" for quantity in ("opacity", "depth", "color") for end in ("", "_p10", "_p90")]
+    assert list(points[0])[:6] == [
+        "medium",
+        "sampler",
+        "dtype",
+        "samples",
+        "evaluations",
+        "microseconds",
+    ]
+    errors = [
+        f"{quantity}_error{end}"
+        for quantity in ("opacity", "depth", "color")
+        for end in ("", "_p10", "_p90")
+    ]
     assert list(points[0])[6:] == errors
     for point in points:
         assert float(point["microseconds"]) > 0
@@ -63,7 +78,9 @@ def test_losses(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     ]  # fmt: skip
     own = [point for point in points if point["form"] == "plugin"]
     # 4 inputs for each of 6 plugins and each size.
-    assert len([point for point in own if (point["plugin"], "plugin") in FORMS]) == 24 * len(losses.QUICK.samples)
+    assert len([point for point in own if (point["plugin"], "plugin") in FORMS]) == 24 * len(
+        losses.QUICK.samples
+    )
     # What the issue promises for losses in float32.
     assert max(float(point["relative_error"]) for point in own) < 1e-5
     assert "one thread" in " ".join(out.split())
@@ -102,7 +119,9 @@ def test_refuses(words: list[str], message: str, capsys: pytest.CaptureFixture[s
     assert message in capsys.readouterr().err
 
 
-def test_refuses_a_file_as_folder_before_measuring(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_refuses_a_file_as_folder_before_measuring(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     file = tmp_path / "taken"
     file.touch()
     assert main(["bench", "losses", "-o", str(file)]) == 2

@@ -68,13 +68,34 @@ def test_plugin_that_cannot_be_imported(capsys):
     assert main(["check", "--case", "fog", "--dtype", "float32", "--samples", "2"]) == 0
     output = capsys.readouterr()
     assert "nerfreg: warning: left out plugin 'absent'" in output.err
-    assert [line.split()[0] for line in output.out.splitlines()] == ["plugin", "compositing", "careless", "~"]
+    assert [line.split()[0] for line in output.out.splitlines()] == [
+        "plugin",
+        "compositing",
+        "careless",
+        "~",
+    ]
     assert main(["check", "absent"]) == 2
     assert "plugin 'absent' of package nerfreg: failed to import" in capsys.readouterr().err
 
 
 def test_json_is_one_document(capsys):
-    assert main(["check", "compositing", "kl", "--case", "fog", "--dtype", "float64", "--samples", "2", "--json"]) == 0
+    assert (
+        main(
+            [
+                "check",
+                "compositing",
+                "kl",
+                "--case",
+                "fog",
+                "--dtype",
+                "float64",
+                "--samples",
+                "2",
+                "--json",
+            ]
+        )
+        == 0
+    )
     document = json.loads(capsys.readouterr().out)
     assert document["passed"] is True
     assert [plugin["name"] for plugin in document["plugins"]] == ["compositing", "kl"]
@@ -85,7 +106,9 @@ def test_json_is_one_document(capsys):
 def test_list_of_cases(capsys):
     assert main(["check", "--list"]) == 0
     lines = capsys.readouterr().out.splitlines()
-    assert [line.split()[0] for line in lines] == [case.name for case in (*CASES, *LAYER_CASES, *PHOTOGRAPH_CASES)]
+    assert [line.split()[0] for line in lines] == [
+        case.name for case in (*CASES, *LAYER_CASES, *PHOTOGRAPH_CASES)
+    ]
     assert max(map(len, lines)) <= 100
 
 
@@ -99,9 +122,15 @@ def test_list_of_cases(capsys):
         (["--samples", "1.5"], "--samples 1.5: must be a whole number, at least 1"),
         (["--case"], "--case needs a value"),
         (["--jason"], "unknown option '--jason'; did you mean '--json'?"),
-        (["kl", "kl.density=alphas"], "'kl.density=alphas' is no plugin and no override; write reg.NAME.key=value"),
+        (
+            ["kl", "kl.density=alphas"],
+            "'kl.density=alphas' is no plugin and no override; write reg.NAME.key=value",
+        ),
         (["kl", "reg.kl.densit=alphas"], "unknown key 'reg.kl.densit'; did you mean 'density'?"),
-        (["kl", "reg.entropy.threshold=0"], "reg.entropy.threshold=0: plugin 'entropy' is not checked; name it too"),
+        (
+            ["kl", "reg.entropy.threshold=0"],
+            "reg.entropy.threshold=0: plugin 'entropy' is not checked; name it too",
+        ),
         (["annealing", "reg.annealing.initial=0"], "reg.annealing.initial: 0.0 is not in (0, 1]"),
     ],
 )

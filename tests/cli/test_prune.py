@@ -30,10 +30,25 @@ def elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def test_options() -> None:
-    assert parse_prune_options(["+reg=kl"]) == PruneOptions(("+reg=kl",), 3600.0, None, None, 0.1, 2, None, None)
-    words = ["--budget", "90", "--folds", "3", "scene=llff", "--steps", "50", "+reg=kl", "--tolerance", "0.2"]
+    assert parse_prune_options(["+reg=kl"]) == PruneOptions(
+        ("+reg=kl",), 3600.0, None, None, 0.1, 2, None, None
+    )
+    words = [
+        "--budget",
+        "90",
+        "--folds",
+        "3",
+        "scene=llff",
+        "--steps",
+        "50",
+        "+reg=kl",
+        "--tolerance",
+        "0.2",
+    ]
     words += ["--stride", "1", "--name", "x", "-o", "out"]
-    assert parse_prune_options(words) == PruneOptions(("scene=llff", "+reg=kl"), 90.0, 3, 50, 0.2, 1, "x", Path("out"))
+    assert parse_prune_options(words) == PruneOptions(
+        ("scene=llff", "+reg=kl"), 90.0, 3, 50, 0.2, 1, "x", Path("out")
+    )
 
 
 @pytest.mark.parametrize(
@@ -54,7 +69,10 @@ def test_options() -> None:
         (["+reg=kll"], "unknown plugin or preset 'kll'"),
         (["+reg=kl", "scene.held_out=[1]"], "scene.held_out=[1]: prune chooses itself"),
         (["+reg=kl", "scene.views=1"], "the scene has 1 training view"),
-        (["+reg=kl", "scene.views=3", "--folds", "4"], "--folds 4: 3 training views make 2 to 3 folds"),
+        (
+            ["+reg=kl", "scene.views=3", "--folds", "4"],
+            "--folds 4: 3 training views make 2 to 3 folds",
+        ),
         (["+reg=kl", "train.steps=5", "--steps", "6"], "--steps 6: more than train.steps=5"),
         (["+reg=kl", "train.steps=null", "train.seconds=5"], "train.steps=null: set it"),
         (["+reg=kl", "--name", "kl"], "--name kl: a plugin or preset of this name exists"),
@@ -86,14 +104,30 @@ def test_fingerprint(compose: Callable[..., Config]) -> None:
     own = fingerprint(compose(*base), 2)
     for same in (("seed=3",), ("name=x",), ("train.quiet=false",), ("scene.held_out=[0]",)):
         assert fingerprint(compose(*base, *same), 2) == own
-    for other in (("reg.kl.weight=0.1",), ("train.rays=8",), ("scene.views=3",), ("train.threads=1",)):
+    for other in (
+        ("reg.kl.weight=0.1",),
+        ("train.rays=8",),
+        ("scene.views=3",),
+        ("train.threads=1",),
+    ):
         assert fingerprint(compose(*base, *other), 2) != own
     assert fingerprint(compose(*base), 1) != own
 
 
-def test_a_whole_study(elsewhere: Path, capsys: pytest.CaptureFixture[str], compose: Callable[..., Config]) -> None:
+def test_a_whole_study(
+    elsewhere: Path, capsys: pytest.CaptureFixture[str], compose: Callable[..., Config]
+) -> None:
     # so much tolerance that the first look decides, and nothing is trained after it
-    words = ["prune", "+reg=[distortion]", "reg.distortion.weight=0.125", *TINY, "--steps", "4", "--tolerance", "5"]
+    words = [
+        "prune",
+        "+reg=[distortion]",
+        "reg.distortion.weight=0.125",
+        *TINY,
+        "--steps",
+        "4",
+        "--tolerance",
+        "5",
+    ]
     assert main([*words, "-o", "out"]) == 0
     shown = capsys.readouterr().out
     assert "What each regularizer adds: procedural-orbit, 2 training views" in shown
@@ -107,7 +141,10 @@ def test_a_whole_study(elsewhere: Path, capsys: pytest.CaptureFixture[str], comp
     ]
     assert (record["pruned"], record["dropped"]) == ([], ["distortion"])
     # every number can be traced: a mean gain is that of the trials
-    scores = {(tuple(t["regularizers"]), *t["held_out"], t["seed"], t["steps"]): t["psnr"] for t in record["trials"]}
+    scores = {
+        (tuple(t["regularizers"]), *t["held_out"], t["seed"], t["steps"]): t["psnr"]
+        for t in record["trials"]
+    }
     one = record["contributions"][0]
     sets = (tuple(one["having"]), tuple(one["lacking"]))
     gains = [
@@ -115,7 +152,9 @@ def test_a_whole_study(elsewhere: Path, capsys: pytest.CaptureFixture[str], comp
         for cell in {key[1:] for key in scores if key[-1] == one["steps"]}
         if (sets[0], *cell) in scores and (sets[1], *cell) in scores
     ]
-    assert one["gain"]["mean"] == pytest.approx(sum(gains) / len(gains)) and one["gain"]["count"] == len(gains)
+    assert one["gain"]["mean"] == pytest.approx(sum(gains) / len(gains)) and one["gain"][
+        "count"
+    ] == len(gains)
     # and what is left composes
     preset = elsewhere / "conf" / "reg" / "pruned_procedural_orbit.yaml"
     assert record["preset"] == str(preset.relative_to(elsewhere))
@@ -136,7 +175,10 @@ def test_a_stop_costs_one_training(
         level = trial.cell.seed + trial.cell.held_out[0]
         noise = 0.01 * (hash(trial.cell) % 7) * len(trial.regularizers)
         return Measurement(
-            20.0 + level + sum(gain[n] for n in trial.regularizers) + noise, None, 0.1, 0.1 * trial.steps
+            20.0 + level + sum(gain[n] for n in trial.regularizers) + noise,
+            None,
+            0.1,
+            0.1 * trial.steps,
         )
 
     monkeypatch.setattr(trials.Trials, "__call__", measure)
@@ -144,14 +186,19 @@ def test_a_stop_costs_one_training(
     assert main(words) == 130
     shown = capsys.readouterr()
     assert "cells.jsonl keeps what is measured" in shown.err
-    assert len((elsewhere / "prune" / "procedural_orbit" / "cells.jsonl").read_text().splitlines()) == 10
+    assert (
+        len((elsewhere / "prune" / "procedural_orbit" / "cells.jsonl").read_text().splitlines())
+        == 10
+    )
     assert main(words) == 0
     assert "10 of" in capsys.readouterr().out
     # all but the one that was stopped were asked for once
     assert sorted(map(repr, asked)) == sorted([*map(repr, set(asked)), repr(asked[10])])
     record = json.loads((elsewhere / "prune" / "procedural_orbit" / "prune.json").read_text())
     assert (record["pruned"], record["dropped"]) == (["distortion"], ["lipschitz"])
-    assert "defaults: [distortion, _self_]" in (elsewhere / "conf" / "reg" / "mine.yaml").read_text()
+    assert (
+        "defaults: [distortion, _self_]" in (elsewhere / "conf" / "reg" / "mine.yaml").read_text()
+    )
     # again, and nothing is left to train
     count = len(asked)
     assert main(words) == 0 and len(asked) == count

@@ -18,7 +18,13 @@ from nerfreg.cli.verbs import VERBS, main
 from nerfreg.errors import NerfregError
 from nerfreg.runs.citations import cite
 
-TINY = ["scene.size=8", "scene.views=2", "scene.test_views=1", "field.levels=2", "field.log2_entries=8"]
+TINY = [
+    "scene.size=8",
+    "scene.views=2",
+    "scene.test_views=1",
+    "field.levels=2",
+    "field.log2_entries=8",
+]
 SHORT = ["train.steps=2", "train.rays=8", "train.quiet=true", "eval.lpips=false", "eval.count=1"]
 
 
@@ -61,19 +67,34 @@ def test_help_of_a_verb(verb: str, capsys: pytest.CaptureFixture[str]) -> None:
     [
         (["trian"], "unknown verb 'trian'; did you mean 'train'?"),
         (["train", "+reg=kll"], "unknown plugin or preset 'kll' in reg=kll; did you mean 'kl'?"),
-        (["train", "+reg=[kl,combinerff]"], "'combinerff' in reg=combinerff; did you mean 'combinerf'?"),
-        (["train", "+reg=kl", "+reg=[entropy,lipschitz]"], "write one list: '+reg=[kl,entropy,lipschitz]'"),
+        (
+            ["train", "+reg=[kl,combinerff]"],
+            "'combinerff' in reg=combinerff; did you mean 'combinerf'?",
+        ),
+        (
+            ["train", "+reg=kl", "+reg=[entropy,lipschitz]"],
+            "write one list: '+reg=[kl,entropy,lipschitz]'",
+        ),
         (["train", "reg=kl"], "write +reg=kl"),
         (["train", "+reg=kl,entropy"], "write '+reg=[kl,entropy]' for a list, or -m to sweep"),
         (["train", "+reg=[kl"], "cannot read '+reg=[kl'"),
-        (["train", "+reg=kl", "reg.kl.weigth=1"], "unknown key 'reg.kl.weigth'; did you mean 'reg.kl.weight'?"),
+        (
+            ["train", "+reg=kl", "reg.kl.weigth=1"],
+            "unknown key 'reg.kl.weigth'; did you mean 'reg.kl.weight'?",
+        ),
         (["train", "reg.kl.weight=1"], "reg.kl is not selected; add +reg=kl"),
         (["train", "reg.kll.weight=1"], "unknown plugin 'kll' in reg.kll; did you mean 'kl'?"),
         (["train", "scen=llff"], "unknown key 'scen'; did you mean 'scene'?"),
         (["train", "scene=lff"], "unknown choice scene=lff; did you mean 'llff'?"),
         (["train", "+foo=1"], "unknown key 'foo'"),
-        (["train", "+reg=kl", "reg.kl.weight=heavy"], "reg.kl.weight: Value 'heavy' of type 'str' could not be"),
-        (["train", "+reg=kl", "reg.kl.weight=-1"], "reg.kl.weight=-1.0: must be finite and not negative"),
+        (
+            ["train", "+reg=kl", "reg.kl.weight=heavy"],
+            "reg.kl.weight: Value 'heavy' of type 'str' could not be",
+        ),
+        (
+            ["train", "+reg=kl", "reg.kl.weight=-1"],
+            "reg.kl.weight=-1.0: must be finite and not negative",
+        ),
         (["train", "eval.count=0"], "eval.count=0: must be at least 1"),
         (["train", "--config-dir", "nowhere"], "nowhere' not found"),
         (["train", "--config-name", "nowhere"], "no config file 'nowhere.yaml'"),
@@ -101,11 +122,18 @@ def test_debug_shows_the_traceback(capsys: pytest.CaptureFixture[str]) -> None:
     assert "Traceback" in error and "MissingConfigException" in error
 
 
-def test_error_in_the_middle_of_a_yaml_file_names_the_file(elsewhere: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_error_in_the_middle_of_a_yaml_file_names_the_file(
+    elsewhere: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     (elsewhere / "conf" / "reg").mkdir(parents=True)
-    (elsewhere / "conf" / "reg" / "mine.yaml").write_text("defaults: [kl, _self_]\nkl: {wieght: 1}\n")
+    (elsewhere / "conf" / "reg" / "mine.yaml").write_text(
+        "defaults: [kl, _self_]\nkl: {wieght: 1}\n"
+    )
     assert main(["train", "--cfg", "job", "+reg=mine"]) == 2
-    assert "in reg/mine.yaml: unknown key 'reg.kl.wieght'; did you mean 'reg.kl.weight'?" in capsys.readouterr().err
+    assert (
+        "in reg/mine.yaml: unknown key 'reg.kl.wieght'; did you mean 'reg.kl.weight'?"
+        in capsys.readouterr().err
+    )
     (elsewhere / "conf" / "reg" / "mine.yaml").write_text("kl: [\n")
     assert main(["train", "--cfg", "job", "+reg=mine"]) == 2
     assert "mine.yaml" in capsys.readouterr().err
@@ -133,11 +161,18 @@ def test_refused_run_keeps_what_was_there(elsewhere: Path, monkeypatch: pytest.M
 
     monkeypatch.setattr(launch, "train", refuse)
     assert main(["train", "hydra.run.dir=kept"]) == 2
-    assert sorted(path.name for path in (elsewhere / "kept").iterdir()) == [".hydra", "metrics.jsonl"]
+    assert sorted(path.name for path in (elsewhere / "kept").iterdir()) == [
+        ".hydra",
+        "metrics.jsonl",
+    ]
 
 
-def test_composition_is_shown_without_running(elsewhere: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["train", "--cfg", "job", "--package", "reg", "+reg=full_geometry", "--resolve"]) == 0
+def test_composition_is_shown_without_running(
+    elsewhere: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert (
+        main(["train", "--cfg", "job", "--package", "reg", "+reg=full_geometry", "--resolve"]) == 0
+    )
     # 1e-3: the procedural scene is an orbit
     assert "full_geometry:\n  weight: 0.001\n" in capsys.readouterr().out
     assert list(elsewhere.iterdir()) == []
@@ -154,7 +189,11 @@ def test_training_leaves_a_run_that_can_be_cited_and_scored(
     capsys.readouterr()
     assert main(["cite", str(run)]) == 0
     bibliography = capsys.readouterr().out
-    keys = [line.partition("{")[2].rstrip(",") for line in bibliography.splitlines() if line.startswith("@")]
+    keys = [
+        line.partition("{")[2].rstrip(",")
+        for line in bibliography.splitlines()
+        if line.startswith("@")
+    ]
     assert keys[:3] == ["mildenhall2020nerf", "muller2022instant", "kingma2015adam"]
     assert {"kim2022infonerf", "barron2022mipnerf360"} <= {*keys}
     assert len(keys) == len({*keys})  # combinerf is the source of both plugins, and listed once
@@ -165,8 +204,23 @@ def test_training_leaves_a_run_that_can_be_cited_and_scored(
 
 
 def test_sweep_leaves_a_folder_for_each(elsewhere: Path) -> None:
-    assert main(["train", "-m", "+reg=[full_geometry],[full_geometry,distortion]", "seed=0,1", *TINY, *SHORT]) == 0
-    runs = sorted(",".join(p.parent.name.split(",")[:2]) for p in elsewhere.glob("multirun/procedural/*/results.json"))
+    assert (
+        main(
+            [
+                "train",
+                "-m",
+                "+reg=[full_geometry],[full_geometry,distortion]",
+                "seed=0,1",
+                *TINY,
+                *SHORT,
+            ]
+        )
+        == 0
+    )
+    runs = sorted(
+        ",".join(p.parent.name.split(",")[:2])
+        for p in elsewhere.glob("multirun/procedural/*/results.json")
+    )
     names = ("reg=full_geometry+distortion", "reg=full_geometry")
     assert runs == [f"{name},seed={seed}" for name in names for seed in (0, 1)]
 
@@ -177,7 +231,9 @@ def test_scene_draws_its_cameras(elsewhere: Path, capsys: pytest.CaptureFixture[
     assert capsys.readouterr().out.splitlines()[-1] == str(picture)
 
 
-def complete(line: str, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> list[str]:
+def complete(
+    line: str, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> list[str]:
     monkeypatch.setenv("COMP_LINE", line)
     assert main(["-sc", "query=bash"]) == 0
     return capfd.readouterr().out.split()
@@ -199,7 +255,9 @@ def test_completion_is_installed_for_the_program(capfd: pytest.CaptureFixture[st
 
 def test_render_options() -> None:
     assert parse_render_options([]) == RenderOptions("test", 60, 30.0, "gif", None)
-    assert parse_render_options(["path=orbit", "frames=7", "out=a"]) == RenderOptions("orbit", 7, 30.0, "gif", "a")
+    assert parse_render_options(["path=orbit", "frames=7", "out=a"]) == RenderOptions(
+        "orbit", 7, 30.0, "gif", "a"
+    )
 
 
 @pytest.mark.parametrize(
@@ -229,6 +287,8 @@ def test_broken_pipe_is_quiet(environment: dict[str, str]) -> None:
     command = [sys.executable, "-m", "nerfreg", "plugins"]
     reader, writer = os.pipe()
     os.close(reader)
-    done = subprocess.run(command, env=environment, stdout=writer, stderr=subprocess.PIPE, text=True)
+    done = subprocess.run(
+        command, env=environment, stdout=writer, stderr=subprocess.PIPE, text=True
+    )
     os.close(writer)
     assert (done.returncode, done.stderr) == (141, "")

@@ -17,7 +17,9 @@ from nerfreg.scenes import Procedural
 
 GROUPS = ("field", "sampler", "optim", "eval", "reg")
 SHIPPED = [
-    f"{path.parent.name}={path.stem}" for group in GROUPS for path in sorted((own_folder() / group).glob("*.yaml"))
+    f"{path.parent.name}={path.stem}"
+    for group in GROUPS
+    for path in sorted((own_folder() / group).glob("*.yaml"))
 ]
 
 
@@ -26,7 +28,9 @@ def test_every_shipped_choice_composes(compose, choice: str) -> None:
     compose(f"+{choice}" if choice.startswith("reg=") else choice)
 
 
-@pytest.mark.parametrize("path", sorted((own_folder() / "scene").glob("*.yaml")), ids=lambda path: path.stem)
+@pytest.mark.parametrize(
+    "path", sorted((own_folder() / "scene").glob("*.yaml")), ids=lambda path: path.stem
+)
 def test_every_shipped_scene_composes(compose, path: Path) -> None:
     # a scene without a layout is asked for one, and there are no files here
     assert compose(f"scene={path.stem}", "++scene.layout=orbit").scene.layout == "orbit"
@@ -43,13 +47,19 @@ def test_every_shipped_file_says_what_it_is_for(path: Path) -> None:
     ("name", "scene", "rays", "steps", "levels"),
     [("paper_llff", "llff", 4096, 9000, 16), ("paper_synthetic", "blender", 7008, 10000, 32)],
 )
-def test_the_papers_settings(compose, name: str, scene: str, rays: int, steps: int, levels: int) -> None:
+def test_the_papers_settings(
+    compose, name: str, scene: str, rays: int, steps: int, levels: int
+) -> None:
     """Nothing is skipped: 64 + 128 samples, 2^19 entries to 2048, whatever the photographs could fill."""
     config = compose(f"+experiment={name}", "+reg=combinerf")
     assert config.scene.format == scene and config.scene.views == {"llff": 3, "blender": 8}[scene]
     assert (config.train.rays, config.train.steps, config.train.seconds) == (rays, steps, None)
     assert (config.sampler.coarse, config.sampler.fine) == (64, 128)
-    assert (config.field.levels, config.field.finest, config.field.log2_entries) == (levels, 2048, 19)
+    assert (config.field.levels, config.field.finest, config.field.log2_entries) == (
+        levels,
+        2048,
+        19,
+    )
     assert not config.field.fit
     assert (config.optim.lr, config.optim.decay, config.optim.ema) == (1e-2, 0.1, 0.95)
     assert compose(f"+experiment={name}", "train.steps=10", "scene.views=6").train.steps == 10
@@ -68,7 +78,10 @@ def test_plugin_defaults_follow_the_layout(compose, selection: str) -> None:
     assert compose(f"+reg={selection}", "scene.layout=forward").reg["distortion"].weight == 2e-5
     assert compose(f"+reg={selection}", "scene.layout=orbit").reg["distortion"].weight == 2e-3
     override = "reg.distortion.weight=0.5"
-    assert compose(f"+reg={selection}", "scene.layout=forward", override).reg["distortion"].weight == 0.5
+    assert (
+        compose(f"+reg={selection}", "scene.layout=forward", override).reg["distortion"].weight
+        == 0.5
+    )
 
 
 def test_presets_may_depend_on_the_layout(compose) -> None:
@@ -77,14 +90,27 @@ def test_presets_may_depend_on_the_layout(compose) -> None:
     orbit = compose("+reg=combinerf_plus", "scene.layout=orbit").reg
     assert (orbit["distortion"].weight, orbit["unseen_smoothness"].weight) == (2e-2, 0.0)
     assert forward["view_dependence"] == orbit["view_dependence"]
-    assert compose("+reg=combinerf_plus", "scene.layout=null").reg == orbit, "the cameras of this scene are on an orbit"
-    assert compose("+reg=combinerf_plus", "scene.layout=orbit", "reg.occlusion.weight=1").reg["occlusion"].weight == 1.0
+    assert compose("+reg=combinerf_plus", "scene.layout=null").reg == orbit, (
+        "the cameras of this scene are on an orbit"
+    )
+    assert (
+        compose("+reg=combinerf_plus", "scene.layout=orbit", "reg.occlusion.weight=1")
+        .reg["occlusion"]
+        .weight
+        == 1.0
+    )
 
 
 def test_the_sampler_follows_the_layout(compose) -> None:
     assert compose("scene.layout=forward").sampler.spacing == "disparity"
-    assert compose("scene.layout=orbit").sampler.spacing == compose("scene.layout=null").sampler.spacing == "linear"
-    assert compose("scene.layout=forward", "sampler=importance").sampler.spacing == "linear", "the paper's"
+    assert (
+        compose("scene.layout=orbit").sampler.spacing
+        == compose("scene.layout=null").sampler.spacing
+        == "linear"
+    )
+    assert compose("scene.layout=forward", "sampler=importance").sampler.spacing == "linear", (
+        "the paper's"
+    )
 
 
 def test_layout_that_nobody_names_is_asked_of_the_cameras(compose) -> None:
@@ -114,7 +140,9 @@ def test_start_is_a_step_or_a_fraction(compose) -> None:
         (["+reg=kl", "reg.kl.weight=-1"], "reg.kl.weight=-1.0: must be finite and not negative"),
     ],
 )
-def test_bad_values_are_refused_before_anything_is_read(compose, overrides: list[str], message: str) -> None:
+def test_bad_values_are_refused_before_anything_is_read(
+    compose, overrides: list[str], message: str
+) -> None:
     with pytest.raises(NerfregError, match=message):
         compose(*overrides)
 
@@ -125,9 +153,13 @@ def test_typed_values(compose) -> None:
     assert "could not be converted to Integer" in str(caught.value.__cause__)
 
 
-def test_folder_of_the_user_adds_choices(compose, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_folder_of_the_user_adds_choices(
+    compose, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     (tmp_path / "conf" / "reg").mkdir(parents=True)
-    (tmp_path / "conf" / "reg" / "mine.yaml").write_text("defaults: [kl, _self_]\nkl: {weight: 0.25}\n")
+    (tmp_path / "conf" / "reg" / "mine.yaml").write_text(
+        "defaults: [kl, _self_]\nkl: {weight: 0.25}\n"
+    )
     (tmp_path / "xdg" / "nerfreg" / "scene").mkdir(parents=True)
     home = "defaults: [procedural_schema, _self_]\nviews: 3\n"
     (tmp_path / "xdg" / "nerfreg" / "scene" / "home.yaml").write_text(home)
@@ -168,7 +200,9 @@ def test_slug(text: str, name: str) -> None:
         (["+reg=kl"], ["kl"], "My run", "My-run"),
     ],
 )
-def test_run_name(overrides: list[str], selected: list[str], name: str | None, expected: str) -> None:
+def test_run_name(
+    overrides: list[str], selected: list[str], name: str | None, expected: str
+) -> None:
     hydra = {"runtime": {"choices": {"scene": "llff"}}, "overrides": {"task": overrides}}
     root = OmegaConf.create({"name": name, "reg": {key: {} for key in selected}, "hydra": hydra})
     assert isinstance(root, DictConfig)
@@ -203,7 +237,9 @@ def test_saved_run_is_read_back_with_its_types(tmp_path: Path) -> None:
         ("a: [", [], "config.yaml"),
     ],
 )
-def test_saved_run_that_cannot_be_read(tmp_path: Path, text: str, overrides: list[str], message: str) -> None:
+def test_saved_run_that_cannot_be_read(
+    tmp_path: Path, text: str, overrides: list[str], message: str
+) -> None:
     with pytest.raises(NerfregError, match=message):
         read_run(saved_run(tmp_path, text), overrides)
 

@@ -38,7 +38,9 @@ def test_png_that_fails_leaves_the_old_file_alone(tmp_path, monkeypatch):
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(iio, "imwrite", full_disk)
-    with pytest.raises(NerfregError, match=r"a\.png: cannot be written \(No space left on device\)"):
+    with pytest.raises(
+        NerfregError, match=r"a\.png: cannot be written \(No space left on device\)"
+    ):
         save_png(path, torch.ones(4, 4, 3))
     assert path.read_bytes() == old
     assert [p.name for p in tmp_path.iterdir()] == ["a.png"]

@@ -21,7 +21,9 @@ def lpips(data: Path) -> LPIPS:
 @pytest.fixture
 def pair(data: Path) -> list[torch.Tensor]:
     folder = data / "nerf_llff_data" / "fern" / "images_8"
-    return [torch.from_numpy(iio.imread(folder / f"image00{i}.png")).float() / 255 for i in range(2)]
+    return [
+        torch.from_numpy(iio.imread(folder / f"image00{i}.png")).float() / 255 for i in range(2)
+    ]
 
 
 def test_values_of_the_official_packages(lpips, pair):

@@ -74,14 +74,18 @@ def test_no_file_and_no_network_is_none_in_silence(capfd, caplog):
 
 def test_a_server_that_never_answers_is_given_up(monkeypatch, empty_hub):
     with socket.create_server(("127.0.0.1", 0)) as mute:
-        monkeypatch.setattr(lpips_weights, "CHECKPOINT_URL", f"http://127.0.0.1:{mute.getsockname()[1]}/x")
+        monkeypatch.setattr(
+            lpips_weights, "CHECKPOINT_URL", f"http://127.0.0.1:{mute.getsockname()[1]}/x"
+        )
         started = time.monotonic()
         assert find_lpips_weights(None) is None
         assert time.monotonic() - started < 3.0
     assert not list(empty_hub.glob("*"))
 
 
-def test_alexnet_of_torch_hub_and_heads_of_torchmetrics_are_the_published_weights(data: Path, empty_hub):
+def test_alexnet_of_torch_hub_and_heads_of_torchmetrics_are_the_published_weights(
+    data: Path, empty_hub
+):
     published = load_file(data / "lpips" / "alexnet_v0.1.safetensors")
     empty_hub.mkdir(parents=True)
     checkpoint = {"classifier.1.weight": torch.zeros(2, 2)}

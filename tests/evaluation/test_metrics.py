@@ -107,4 +107,6 @@ def test_arguments_stay_as_they_were():
     depth, truth = torch.tensor([[1.0, 2.0]]), torch.tensor([[math.inf, 3.0]])
     before = [x.clone() for x in (image, target, depth, truth)]
     psnr(image, target), ssim(image, target), depth_rmse(depth, truth)
-    assert all(torch.equal(x, y) for x, y in zip((image, target, depth, truth), before, strict=True))
+    assert all(
+        torch.equal(x, y) for x, y in zip((image, target, depth, truth), before, strict=True)
+    )

@@ -28,7 +28,9 @@ def ring(azimuths: list[float], elevation: float = math.pi / 6, radius: float = 
     poses = []
     for azimuth in azimuths:
         flat = math.cos(elevation)
-        out = torch.tensor([flat * math.cos(azimuth), flat * math.sin(azimuth), math.sin(elevation)])
+        out = torch.tensor(
+            [flat * math.cos(azimuth), flat * math.sin(azimuth), math.sin(elevation)]
+        )
         poses.append(look_at(TARGET + radius * out, TARGET, UP))
     return torch.stack(poses)
 

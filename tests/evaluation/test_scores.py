@@ -41,7 +41,9 @@ def test_average_is_made_of_the_means(make_scene):
     lpips = LPIPS(convolutions, tuple(torch.ones(1, 2, 1, 1) for _ in range(5)))
     images = [ramp(0), ramp(1)]
     scene = make_scene(images=images)
-    scores = score_views(scene, [0, 1], lambda view: view_of(images[view] * (0.5, 0.9)[view]), lpips)
+    scores = score_views(
+        scene, [0, 1], lambda view: view_of(images[view] * (0.5, 0.9)[view]), lpips
+    )
     each = [average(v.psnr, v.ssim, v.lpips) for v in scores.views]
     assert scores.average == pytest.approx(average(scores.psnr, scores.ssim, scores.lpips))
     assert scores.average != pytest.approx(sum(each) / 2, rel=1e-3)
@@ -66,7 +68,9 @@ def test_the_background_may_have_a_colour(make_scene):
 def test_predictions_are_clipped_before_they_are_scored(make_scene):
     # 1.5 against 0.9 counts as 1.0 against 0.9: 20 dB; a clip of the difference would not
     scene = make_scene(images=[flat(0.9)])
-    assert score_views(scene, [0], lambda v: view_of(flat(1.5)), None).psnr == pytest.approx(20.0, abs=1e-3)
+    assert score_views(scene, [0], lambda v: view_of(flat(1.5)), None).psnr == pytest.approx(
+        20.0, abs=1e-3
+    )
 
 
 def test_depth_is_compared_where_it_is_known(make_scene):
@@ -120,7 +124,9 @@ def test_a_shifted_rendering_scores_worse(make_scene):
 def test_strided_renderings_are_compared_with_the_same_pixels(make_scene):
     image, depth = ramp(0), ramp(1)[..., 0] + 1
     scene = make_scene(images=[image], depths=[depth])
-    scores = score_views(scene, [0], lambda v: view_of(image[::3, ::3], depth[::3, ::3] + 0.5), None, stride=3)
+    scores = score_views(
+        scene, [0], lambda v: view_of(image[::3, ::3], depth[::3, ::3] + 0.5), None, stride=3
+    )
     assert scores.psnr == math.inf
     assert scores.depth_rmse == pytest.approx(0.5, abs=1e-6)
     assert scores.ssim is None  # an image of another scale: not comparable

@@ -33,7 +33,18 @@ def test_mp4_has_all_frames_and_even_sides(tmp_path):
     path = tmp_path / "film.mp4"
     write_video(path, grays(5, height=33, width=47), fps=25)
     # decoded by ffmpeg itself: imageio's reader leaves its pipes open, which counts as an error here
-    command = [ffmpeg.get_ffmpeg_exe(), "-v", "error", "-i", path, "-f", "rawvideo", "-pix_fmt", "rgb24", "-"]
+    command = [
+        ffmpeg.get_ffmpeg_exe(),
+        "-v",
+        "error",
+        "-i",
+        path,
+        "-f",
+        "rawvideo",
+        "-pix_fmt",
+        "rgb24",
+        "-",
+    ]
     raw = subprocess.run(command, capture_output=True, check=True).stdout
     # 33 x 47 is padded to 34 x 48; a film of another size or length would not have as many bytes
     frames = np.frombuffer(raw, np.uint8).reshape(5, 34, 48, 3)

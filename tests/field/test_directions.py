@@ -26,7 +26,9 @@ def test_orthonormal_on_the_sphere() -> None:
     azimuth = torch.arange(16, dtype=torch.float64) * (2 * math.pi / 16)
     z = torch.tensor(nodes)[:, None].expand(8, 16)
     rim = torch.sqrt(1 - z * z)
-    directions = torch.stack([rim * torch.cos(azimuth), rim * torch.sin(azimuth), z], dim=-1).reshape(-1, 3)
+    directions = torch.stack(
+        [rim * torch.cos(azimuth), rim * torch.sin(azimuth), z], dim=-1
+    ).reshape(-1, 3)
     measure = torch.tensor(weights)[:, None].expand(8, 16).reshape(-1) * (2 * math.pi / 16)
     harmonics = spherical_harmonics(directions)
     gram = torch.einsum("pi,pj,p->ij", harmonics, harmonics, measure)

@@ -28,7 +28,9 @@ def a_scene(near: float = 2.0, focal: float = 100.0, size: int = 64) -> Scene:
         torch.zeros(3, 5),
     )
     box = torch.tensor([[-2.0, -1.0, -2.0], [2.0, 1.0, 2.0]])
-    return Scene("", "orbit", cameras, (0, 1), (2,), box, near, 8.0, lambda view: torch.zeros(0), False, None)
+    return Scene(
+        "", "orbit", cameras, (0, 1), (2,), box, near, 8.0, lambda view: torch.zeros(0), False, None
+    )
 
 
 @pytest.mark.parametrize(
@@ -43,7 +45,9 @@ def a_scene(near: float = 2.0, focal: float = 100.0, size: int = 64) -> Scene:
         (100.0, 1, 16),
     ],
 )
-def test_levels_finer_than_the_finest_pixel_footprint_go(near: float, levels: int, finest: int) -> None:
+def test_levels_finer_than_the_finest_pixel_footprint_go(
+    near: float, levels: int, finest: int
+) -> None:
     config = fitted(PAPER, a_scene(near))
     assert (config.levels, config.base, config.finest) == (levels, 16, finest)
     assert fitted(config, a_scene(near)) == config

@@ -16,7 +16,16 @@ HASHED = GridLayout(levels=8, base=4, finest=64, log2_entries=10)
 
 def test_resolutions_grow_geometrically_from_base_to_finest() -> None:
     # growth (2048/16)^(1/7) = 2, hence powers of two
-    assert GridLayout(8, 16, 2048, 19).resolutions.tolist() == [16, 32, 64, 128, 256, 512, 1024, 2048]
+    assert GridLayout(8, 16, 2048, 19).resolutions.tolist() == [
+        16,
+        32,
+        64,
+        128,
+        256,
+        512,
+        1024,
+        2048,
+    ]
 
 
 def test_a_level_is_dense_exactly_when_its_vertices_fit() -> None:
@@ -56,7 +65,9 @@ def test_compiled_and_plain_agree_forward_and_backward(levels: int) -> None:
         torch.manual_seed(levels)
         table = torch.randn(HASHED.entries, 2, requires_grad=True)
         positions = torch.rand(500, 3)
-        positions[:8] = torch.tensor([[i & 1, i >> 1 & 1, i >> 2] for i in range(8)])  # the cube's own corners
+        positions[:8] = torch.tensor(
+            [[i & 1, i >> 1 & 1, i >> 2] for i in range(8)]
+        )  # the cube's own corners
         positions.requires_grad_()
         features = encode(positions, table, HASHED, levels)
         assert features.shape == (500, 2 * levels)
@@ -71,7 +82,9 @@ def test_gradients_of_the_plain_grid_match_finite_differences() -> None:
     layout = GridLayout(3, 2, 8, 6)
     table = torch.randn(layout.entries, 2, dtype=torch.float64, requires_grad=True)
     positions = (torch.rand(5, 3, dtype=torch.float64) * 0.9 + 0.03).requires_grad_()
-    assert torch.autograd.gradcheck(lambda p, t: grid_torch.encode(p, t, layout, 3), (positions, table))
+    assert torch.autograd.gradcheck(
+        lambda p, t: grid_torch.encode(p, t, layout, 3), (positions, table)
+    )
 
 
 def test_backward_is_the_same_for_any_number_of_threads() -> None:
@@ -85,7 +98,9 @@ def test_backward_is_the_same_for_any_number_of_threads() -> None:
         before = numba.get_num_threads()
         numba.set_num_threads(threads)
         try:
-            return torch.autograd.grad(grid_numba.encode(positions, table, HASHED, HASHED.levels), table, grad)[0]
+            return torch.autograd.grad(
+                grid_numba.encode(positions, table, HASHED, HASHED.levels), table, grad
+            )[0]
         finally:
             numba.set_num_threads(before)
 
@@ -97,13 +112,18 @@ def test_positions_outside_the_cube_stay_inside_the_table(encode) -> None:  # ty
     table = torch.ones(HASHED.entries, 2)
     positions = torch.tensor([[-0.01, 0.5, 1.01], [1.0 + 1e-6, -1e-6, 0.5]])
     # weights of a cell sum to 1 outside it as well, so a constant table gives the constant
-    torch.testing.assert_close(encode(positions, table, HASHED, 8), torch.ones(2, 16), rtol=1e-4, atol=1e-4)
+    torch.testing.assert_close(
+        encode(positions, table, HASHED, 8), torch.ones(2, 16), rtol=1e-4, atol=1e-4
+    )
 
 
 def test_no_points_and_no_levels() -> None:
     for encode in (grid_torch.encode, grid_numba.encode):
         assert encode(torch.rand(5, 3), torch.rand(HASHED.entries, 2), HASHED, 0).shape == (5, 0)
-    assert grid_numba.encode(torch.rand(0, 3), torch.rand(HASHED.entries, 2), HASHED, 8).shape == (0, 16)
+    assert grid_numba.encode(torch.rand(0, 3), torch.rand(HASHED.entries, 2), HASHED, 8).shape == (
+        0,
+        16,
+    )
 
 
 def test_float64_goes_through_plain_torch() -> None:
@@ -134,10 +154,14 @@ def test_encodings_that_share_a_gradient_give_the_sum_of_theirs() -> None:
     # twice through the same graph, a pass that does not reach the table in between, then into .grad
     for _ in range(2):
         for value, wanted in zip(
-            torch.autograd.grad(shared, (grid.table, first), retain_graph=True), expected, strict=True
+            torch.autograd.grad(shared, (grid.table, first), retain_graph=True),
+            expected,
+            strict=True,
         ):
             torch.testing.assert_close(value, wanted)
-        torch.testing.assert_close(torch.autograd.grad(shared, first, retain_graph=True)[0], expected[1])
+        torch.testing.assert_close(
+            torch.autograd.grad(shared, first, retain_graph=True)[0], expected[1]
+        )
     shared.backward()
     assert grid.table.grad is not None
     torch.testing.assert_close(grid.table.grad, expected[0])

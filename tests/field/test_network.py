@@ -85,7 +85,9 @@ def test_a_column_in_the_gap_has_no_part(plain: bool) -> None:
     value = network(x, gap=2, plain=plain)
     torch.testing.assert_close(value, network(x[:, [0, 1, 3, 4, 5]], plain=True))
     value.sum().backward()
-    assert x.grad is not None and (x.grad[:, 2] == 0).all() and (x.grad[:, [0, 1, 3, 4, 5]] != 0).any()
+    assert (
+        x.grad is not None and (x.grad[:, 2] == 0).all() and (x.grad[:, [0, 1, 3, 4, 5]] != 0).any()
+    )
 
 
 def test_missing_and_scaled_inputs_are_zeros_and_factors() -> None:
@@ -109,7 +111,9 @@ def test_a_layer_that_is_not_affine_runs_through_autograd() -> None:
     stranger = Stranger(16, 3)
     network = Network([Linear(6, 16, "relu"), stranger])
     x = torch.randn(7, 6)
-    expected = torch.sin(torch.relu(x @ network.layers[0].weight.T) @ stranger.inner.weight.T + stranger.inner.bias)
+    expected = torch.sin(
+        torch.relu(x @ network.layers[0].weight.T) @ stranger.inner.weight.T + stranger.inner.bias
+    )
     torch.testing.assert_close(network(x), expected)
     network(x).sum().backward()
     assert stranger.inner.weight.grad is not None
@@ -138,7 +142,9 @@ def test_gelu_after_the_last_layer_is_fused_too() -> None:
     network = Network(NETWORKS["gelu at the end"]())
     x = torch.randn(9, 6, requires_grad=True)
     torch.testing.assert_close(network(x), network(x, plain=True))
-    gradients = [torch.autograd.grad(network(x, plain=plain).sum(), x)[0] for plain in (True, False)]
+    gradients = [
+        torch.autograd.grad(network(x, plain=plain).sum(), x)[0] for plain in (True, False)
+    ]
     torch.testing.assert_close(gradients[1], gradients[0])
 
 
@@ -160,7 +166,10 @@ def test_shifts_of_the_first_input_and_the_last_output(scale: Tensor | None) -> 
     """Both ways compute W2 relu(W1 (x * scale + before)) + after, and its gradients by the shifts."""
     torch.manual_seed(0)
     first, last = Shifted(6, 8, "relu"), Shifted(8, 3)
-    first.before, last.after = torch.randn(9, 6, requires_grad=True), torch.randn(9, 3, requires_grad=True)
+    first.before, last.after = (
+        torch.randn(9, 6, requires_grad=True),
+        torch.randn(9, 3, requires_grad=True),
+    )
     network, x = Network([first, last]), torch.randn(9, 6)
     assert network._affine() is not None, "shifts must not leave the fused path"
     hidden = (x if scale is None else x * scale) + first.before
@@ -169,7 +178,9 @@ def test_shifts_of_the_first_input_and_the_last_output(scale: Tensor | None) -> 
     for plain in (True, False):
         made = network(narrow, scale, plain=plain)
         torch.testing.assert_close(made, expected)
-        for got, wanted in zip(_grads(made, first, last), _grads(expected, first, last), strict=True):
+        for got, wanted in zip(
+            _grads(made, first, last), _grads(expected, first, last), strict=True
+        ):
             torch.testing.assert_close(got, wanted)
 
 
@@ -216,7 +227,10 @@ def test_bfloat16_is_as_near_as_its_eight_bits_allow(name: str) -> None:
         made = [out.detach(), inputs.grad, *(p.grad for p in network.parameters())]
         assert all(tensor.dtype == torch.float32 for tensor in made)
         results.append(made)
-    errors = [float((rounded - exact).norm() / exact.norm()) for exact, rounded in zip(*results, strict=True)]
+    errors = [
+        float((rounded - exact).norm() / exact.norm())
+        for exact, rounded in zip(*results, strict=True)
+    ]
     assert 0 < errors[0] < 8 * 2**-9
     assert max(errors[1:]) < 0.08
 
@@ -226,7 +240,9 @@ def test_a_network_of_one_layer_and_a_double_one_round_nothing() -> None:
     one = NETWORKS["one layer"]()
     torch.testing.assert_close(Network(one, torch.bfloat16)(x), Network(one)(x), rtol=0, atol=0)
     double = Network(NETWORKS["relu"](), torch.bfloat16).double()
-    torch.testing.assert_close(double(x.double()), double(x.double(), plain=True), rtol=1e-14, atol=1e-14)
+    torch.testing.assert_close(
+        double(x.double()), double(x.double(), plain=True), rtol=1e-14, atol=1e-14
+    )
 
 
 def test_frozen_weights_get_no_gradient_and_the_input_does() -> None:
@@ -243,5 +259,7 @@ def test_frozen_weights_get_no_gradient_and_the_input_does() -> None:
 
 def _grads(made: Tensor, first: Shifted, last: Shifted) -> tuple[Tensor, ...]:
     return torch.autograd.grad(
-        made.square().sum(), [first.before, last.after, first.weight, last.weight], retain_graph=True
+        made.square().sum(),
+        [first.before, last.after, first.weight, last.weight],
+        retain_graph=True,
     )

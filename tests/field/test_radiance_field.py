@@ -16,7 +16,9 @@ SMALL = FieldConfig(levels=4, base=4, finest=16, log2_entries=10, hidden=16, geo
 
 def make(config: FieldConfig = SMALL, box: torch.Tensor = BOX) -> RadianceField:
     torch.manual_seed(0)
-    field = RadianceField(config, box, lambda network, index, i, o, activation: Linear(i, o, activation))
+    field = RadianceField(
+        config, box, lambda network, index, i, o, activation: Linear(i, o, activation)
+    )
     torch.nn.init.uniform_(field.grid.table, -1, 1)
     return field
 
@@ -84,10 +86,14 @@ def test_color_lies_in_the_unit_interval_and_follows_the_direction() -> None:
     color = field.color(raw, harmonics)
     assert ((color > 0) & (color < 1)).all()
     assert not torch.allclose(color, field.color(raw, -harmonics))
-    torch.testing.assert_close(field.color(raw, harmonics, 0.0), field.color(raw, torch.zeros(6, 16)))
+    torch.testing.assert_close(
+        field.color(raw, harmonics, 0.0), field.color(raw, torch.zeros(6, 16))
+    )
 
 
 def test_both_backends_give_the_same_field() -> None:
     numba, plain = make(), make(FieldConfig(**{**vars(SMALL), "backend": "torch"}))
     positions = torch.rand(100, 3) * 2 - 1
-    torch.testing.assert_close(numba.raw_density(positions), plain.raw_density(positions), rtol=1e-5, atol=1e-6)
+    torch.testing.assert_close(
+        numba.raw_density(positions), plain.raw_density(positions), rtol=1e-5, atol=1e-6
+    )

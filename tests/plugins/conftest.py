@@ -23,7 +23,9 @@ def make_rendering(tau: Tensor, t_edges: Tensor | None = None, **rays: Tensor) -
     opacity = -torch.expm1(-tau.sum(-1))
     t = (t_edges[:, 1:] + t_edges[:, :-1]) / 2
     seen = opacity >= 1e-4
-    depth = torch.where(seen, (weights * t).sum(-1) / torch.where(seen, weights.sum(-1), 1.0), t_edges[:, -1])
+    depth = torch.where(
+        seen, (weights * t).sum(-1) / torch.where(seen, weights.sum(-1), 1.0), t_edges[:, -1]
+    )
     direction = torch.tensor([0.0, 0.0, -1.0], dtype=tau.dtype)
     return Rendering(
         rays=Rays(
@@ -48,10 +50,14 @@ def make_rendering(tau: Tensor, t_edges: Tensor | None = None, **rays: Tensor) -
 
 
 def make_step(
-    fraction: float = 0.5, index: int = 500, rerender: Callable[[Rendering], Rendering] = lambda rendering: rendering
+    fraction: float = 0.5,
+    index: int = 500,
+    rerender: Callable[[Rendering], Rendering] = lambda rendering: rendering,
 ) -> Step:
     """Step `index` of 1000 in a scene from 2 to 6."""
-    return Step(index, 1000, fraction, torch.Generator().manual_seed(0), (2.0, FAR), rerender, rerender)
+    return Step(
+        index, 1000, fraction, torch.Generator().manual_seed(0), (2.0, FAR), rerender, rerender
+    )
 
 
 def gradients(value: Tensor, *inputs: Tensor) -> tuple[Tensor, ...]:

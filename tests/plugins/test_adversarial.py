@@ -50,14 +50,26 @@ def scene(plugin: Adversarial, see) -> tuple[Hooks, Step]:
     ("radii", "see", "expected"),
     [
         # One sample at t = 4, so z = -4. The error, a mean over the three equal channels, is z^2; away from 0 is down.
-        ({"positions": 0.01}, lambda s: s.positions[:, 0, 2:].expand(-1, 3), (4 + 0.01 * LENGTH) ** 2),
+        (
+            {"positions": 0.01},
+            lambda s: s.positions[:, 0, 2:].expand(-1, 3),
+            (4 + 0.01 * LENGTH) ** 2,
+        ),
         # Away from 0 is a larger t, for t and for the position along the ray.
         ({"t": 0.01}, lambda s: s.t.expand(-1, 3), (4 + 0.01 * LENGTH) ** 2),
         ({"t": 0.01}, lambda s: s.positions[:, 0, 2:].expand(-1, 3), (4 + 0.01 * LENGTH) ** 2),
         # x of the direction is 0; the error is (1 + x)^2 and x the radius over the new length.
-        ({"directions": 0.1}, lambda s: 1 + s.directions[:, :1].expand(-1, 3), (1 + 0.1 / 1.01**0.5) ** 2),
+        (
+            {"directions": 0.1},
+            lambda s: 1 + s.directions[:, :1].expand(-1, 3),
+            (1 + 0.1 / 1.01**0.5) ** 2,
+        ),
         # Both at once: down by 0.04 along the ray and by 0.04 on its own.
-        ({"positions": 0.01, "t": 0.01}, lambda s: s.positions[:, 0, 2:].expand(-1, 3), (4 + 0.02 * LENGTH) ** 2),
+        (
+            {"positions": 0.01, "t": 0.01},
+            lambda s: s.positions[:, 0, 2:].expand(-1, 3),
+            (4 + 0.02 * LENGTH) ** 2,
+        ),
     ],
 )
 def test_encoder_inputs_by_hand(rendering, radii, see, expected):
@@ -67,7 +79,9 @@ def test_encoder_inputs_by_hand(rendering, radii, see, expected):
     assert term.item() == pytest.approx(expected, rel=1e-5)
 
 
-@pytest.mark.parametrize(("steps", "step_size", "reached"), [(1, 0.25, 0.25), (3, 0.25, 0.75), (5, 0.25, 1.0)])
+@pytest.mark.parametrize(
+    ("steps", "step_size", "reached"), [(1, 0.25, 0.25), (3, 0.25, 0.75), (5, 0.25, 1.0)]
+)
 def test_steps_add_up_to_the_radius(rendering, steps, step_size, reached):
     plugin = only(t=0.01)
     plugin.steps, plugin.step_size = steps, step_size
@@ -80,13 +94,18 @@ def test_only_rays_with_a_photograph_count(rendering):
     plugin = only(t=0.01)
     _, step = scene(plugin, lambda s: s.t.expand(-1, 3) * torch.tensor([[1.0], [100.0]]))
     made = rendering(torch.ones(2, 1), targets=torch.zeros(1, 3))
-    assert plugin.nerfreg_loss(made, step)["adversarial"].item() == pytest.approx((4 + 0.01 * LENGTH) ** 2)
+    assert plugin.nerfreg_loss(made, step)["adversarial"].item() == pytest.approx(
+        (4 + 0.01 * LENGTH) ** 2
+    )
 
 
 def test_directions_that_differ_along_the_ray(step):
     plugin = only(directions=0.1, t=0.5)
     directions = torch.tensor([[[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]])
-    plugin._deltas = {"directions": torch.tensor([[0.0, 0.0, 0.1]]), "t": torch.tensor([[1.0, 2.0]])}
+    plugin._deltas = {
+        "directions": torch.tensor([[0.0, 0.0, 0.1]]),
+        "t": torch.tensor([[1.0, 2.0]]),
+    }
     seen = Hooks({"adversarial": plugin}).encoder_input(
         Samples(torch.zeros(1, 2, 3), directions, torch.zeros(1, 2)), step()
     )
@@ -136,7 +155,10 @@ def test_a_layer_of_any_kind_inside():
         ({"features": 1.0}, {("density", 0)}),
         ({"sigma": 1.0}, {("density", 1)}),
         ({"rgb": 1.0}, {("color", 1)}),
-        ({"features": 1.0, "sigma": 1.0, "rgb": 1.0}, {("density", 0), ("density", 1), ("color", 1)}),
+        (
+            {"features": 1.0, "sigma": 1.0, "rgb": 1.0},
+            {("density", 0), ("density", 1), ("color", 1)},
+        ),
     ],
 )
 def test_only_what_is_switched_on_is_wrapped(radii, wrapped):

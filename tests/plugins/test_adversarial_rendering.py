@@ -14,13 +14,23 @@ from nerfreg.rendering.renderer import Renderer
 def test_through_the_real_renderer():
     """The core renders again at the same samples, the error grows, and the main pass is back to what it was."""
     torch.manual_seed(0)
-    plugin = Adversarial(positions=1e-3, directions=1e-2, t=1e-3, features=1e-4, sigma=1e-2, rgb=1e-2)
+    plugin = Adversarial(
+        positions=1e-3, directions=1e-2, t=1e-3, features=1e-4, sigma=1e-2, rgb=1e-2
+    )
     hooks = Hooks({"adversarial": plugin})
     box = torch.tensor([[-4.0] * 3, [4.0] * 3])
     config = FieldConfig(levels=2, base=4, finest=8, log2_entries=8, backend="torch")
-    renderer = Renderer(RadianceField(config, box, hooks.layer), SamplerConfig(coarse=8, fine=8), hooks)
+    renderer = Renderer(
+        RadianceField(config, box, hooks.layer), SamplerConfig(coarse=8, fine=8), hooks
+    )
     directions = torch.nn.functional.normalize(torch.randn(6, 3), dim=-1)
-    rays = Rays(torch.zeros(6, 3), directions, torch.full((6,), 0.1), torch.full((6,), 4.0), torch.rand(5, 3))
+    rays = Rays(
+        torch.zeros(6, 3),
+        directions,
+        torch.full((6,), 0.1),
+        torch.full((6,), 4.0),
+        torch.rand(5, 3),
+    )
     step = Step(
         0,
         10,

@@ -50,7 +50,9 @@ def test_the_last_steps_keep_their_digits(dtype):
 def test_half_precision_is_computed_in_float32(half):
     near, far = torch.tensor([2.0], dtype=half), torch.tensor([6.0], dtype=half)
     new = annealed_bounds(near, far, 1, 3, 0.1, 0.3)
-    for value, full in zip(new, annealed_bounds(near.float(), far.float(), 1, 3, 0.1, 0.3), strict=True):
+    for value, full in zip(
+        new, annealed_bounds(near.float(), far.float(), 1, 3, 0.1, 0.3), strict=True
+    ):
         assert torch.equal(value, full.to(half))
 
 
@@ -85,7 +87,9 @@ def test_ray_bounds(rendering, step, duration, expected):
     assert rays.near.tolist() == [2.0] * 3
 
 
-@pytest.mark.parametrize(("key", "value"), [("initial", 0.0), ("initial", 1.5), ("mid", -0.1), ("mid", 1.1)])
+@pytest.mark.parametrize(
+    ("key", "value"), [("initial", 0.0), ("initial", 1.5), ("mid", -0.1), ("mid", 1.1)]
+)
 def test_what_cannot_work_is_refused(key, value):
     with pytest.raises(NerfregError, match=rf"reg\.annealing\.{key}.*{value}"):
         Annealing(**{key: value})

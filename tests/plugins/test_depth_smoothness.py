@@ -25,7 +25,9 @@ def test_mean_over_patches(dtype):
 @pytest.mark.parametrize("missing", [6.0, float("inf"), float("nan")])
 def test_terms_with_an_invisible_pixel_are_left_out(dtype, finite_gradients, missing):
     # On a flat 3 x 3 patch with one step at the right: (0,1)-(0,2) and (1,1)-(1,2) are 1 each; (0,2) is missing.
-    patch = torch.tensor([[[0.0, 0.0, missing], [0.0, 0.0, 1.0], [0.0, 0.0, 0.0]]], dtype=dtype, requires_grad=True)
+    patch = torch.tensor(
+        [[[0.0, 0.0, missing], [0.0, 0.0, 1.0], [0.0, 0.0, 0.0]]], dtype=dtype, requires_grad=True
+    )
     visible = torch.ones(1, 3, 3, dtype=torch.bool)
     visible[0, 0, 2] = False
     value = depth_smoothness(patch, visible)
@@ -69,7 +71,9 @@ def test_far_away_small_differences_keep_their_digits(rendering, step, dtype):
 
 
 def test_gradcheck():
-    patch = torch.rand(2, 4, 4, dtype=torch.float64, generator=torch.Generator().manual_seed(0)).requires_grad_()
+    patch = torch.rand(
+        2, 4, 4, dtype=torch.float64, generator=torch.Generator().manual_seed(0)
+    ).requires_grad_()
     assert torch.autograd.gradcheck(depth_smoothness, patch)
 
 
@@ -118,7 +122,9 @@ def test_mean_divides_by_the_pixels_that_start_terms(rendering, step):
 
 def test_empty_rays_have_no_part(rendering, step, dtype, finite_gradients):
     # Ray 1 is empty, ray 2 all but: only pixel 0 is left, and it has nobody to differ from.
-    tau = torch.tensor([[1.0, 1.0], [0.0, 0.0], [0.0, 9e-5], [1.0, 2.0]], dtype=dtype, requires_grad=True)
+    tau = torch.tensor(
+        [[1.0, 1.0], [0.0, 0.0], [0.0, 9e-5], [1.0, 2.0]], dtype=dtype, requires_grad=True
+    )
     made = rendering(tau, patches=torch.tensor([[[0, 1], [2, 3]]]))
     term = DepthSmoothness().nerfreg_loss(made, step())["depth_smoothness"]
     assert term == 0

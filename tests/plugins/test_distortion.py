@@ -11,14 +11,18 @@ from nerfreg_plugins.distortion import Distortion, distortion
 def all_pairs(weights, t_edges, depth):
     """The definition, literally, in O(N^2)."""
     middle = (t_edges[:, 1:] + t_edges[:, :-1]) / 2
-    pairs = weights[:, :, None] * weights[:, None, :] * (middle[:, :, None] - middle[:, None, :]).abs()
+    pairs = (
+        weights[:, :, None] * weights[:, None, :] * (middle[:, :, None] - middle[:, None, :]).abs()
+    )
     own = weights.square() * t_edges.diff(dim=-1) / 3
     return ((pairs.sum((1, 2)) + own.sum(1)) / depth).mean()
 
 
 def random_rays(count=4, samples=7):
     generator = torch.Generator().manual_seed(0)
-    t_edges = torch.rand(count, samples + 1, dtype=torch.float64, generator=generator).sort(-1).values + 1
+    t_edges = (
+        torch.rand(count, samples + 1, dtype=torch.float64, generator=generator).sort(-1).values + 1
+    )
     weights = torch.rand(count, samples, dtype=torch.float64, generator=generator)
     return weights / (weights.sum(-1, keepdim=True) + 1), t_edges, t_edges[:, 3].clone()
 
@@ -27,7 +31,9 @@ def test_by_hand(dtype):
     # Edges 0 1 3, midpoints 1/2 and 2, depth 2: (2 * 1/2 * 1/4 * 3/2 + (1/4 * 1 + 1/16 * 2) / 3) / 2.
     weights = torch.tensor([[0.5, 0.25]], dtype=dtype)
     t_edges = torch.tensor([[0.0, 1.0, 3.0]], dtype=dtype)
-    assert distortion(weights, t_edges, torch.tensor([2.0], dtype=dtype)).item() == pytest.approx(0.25)
+    assert distortion(weights, t_edges, torch.tensor([2.0], dtype=dtype)).item() == pytest.approx(
+        0.25
+    )
 
 
 def test_equals_all_pairs_forward_and_backward():
@@ -40,12 +46,18 @@ def test_equals_all_pairs_forward_and_backward():
 def test_float32_keeps_its_digits_between_10000_and_10001():
     # There float32 has steps of 1/1024, so midpoints would round; the edges themselves are taken as given.
     weights = torch.rand(1, 64, generator=torch.Generator().manual_seed(0)) / 64
-    t_edges = 10000 + torch.randperm(1024, generator=torch.Generator().manual_seed(1))[:65].sort().values[None] / 1024
+    t_edges = (
+        10000
+        + torch.randperm(1024, generator=torch.Generator().manual_seed(1))[:65].sort().values[None]
+        / 1024
+    )
     depth = torch.tensor([10000.5])
     mpmath.mp.dps = 40
     w, t = ([mpmath.mpf(x) for x in row[0].tolist()] for row in (weights, t_edges))
     m = [(a + b) / 2 for a, b in pairwise(t)]
-    expected = sum(a * b * abs(x - y) for a, x in zip(w, m, strict=True) for b, y in zip(w, m, strict=True))
+    expected = sum(
+        a * b * abs(x - y) for a, x in zip(w, m, strict=True) for b, y in zip(w, m, strict=True)
+    )
     expected += sum(a * a * (t[i + 1] - t[i]) for i, a in enumerate(w)) / 3
     expected /= mpmath.mpf(depth.item())
     assert distortion(weights, t_edges, depth).item() == pytest.approx(float(expected), rel=2e-6)
@@ -72,12 +84,16 @@ def test_extreme_lengths(dtype, finite_gradients, length):
 
 
 @pytest.mark.parametrize("samples", [2, 48, 4096])
-@pytest.mark.parametrize(("low", "high"), [(2e-6, 6e-6), (2e6, 6e6), (10000.0, 10001.0), (0.0, 1e-9)])
+@pytest.mark.parametrize(
+    ("low", "high"), [(2e-6, 6e-6), (2e6, 6e6), (10000.0, 10001.0), (0.0, 1e-9)]
+)
 def test_against_50_digits(dtype, samples, low, high):
     generator = torch.Generator().manual_seed(samples)
     edges = torch.rand(1, samples + 1, dtype=torch.float64, generator=generator).sort().values
     t_edges = (low + (high - low) * edges).to(dtype)
-    weights = torch.rand(1, samples, dtype=torch.float64, generator=generator).pow(8).to(dtype) / samples
+    weights = (
+        torch.rand(1, samples, dtype=torch.float64, generator=generator).pow(8).to(dtype) / samples
+    )
     depth = t_edges[:, -1]
     with mpmath.workdps(50):
         w, e = ([mpmath.mpf(x) for x in values[0].tolist()] for values in (weights, t_edges))
@@ -101,13 +117,17 @@ def test_half_precision_is_computed_in_float32(half):
 def test_one_sample(dtype, finite_gradients):
     # No gap; 1/3 w^2 delta / d = 1/3 * 1/4 * 2 / 2.
     weights = torch.tensor([[0.5]], dtype=dtype, requires_grad=True)
-    value = distortion(weights, torch.tensor([[1.0, 3.0]], dtype=dtype), torch.tensor([2.0], dtype=dtype))
+    value = distortion(
+        weights, torch.tensor([[1.0, 3.0]], dtype=dtype), torch.tensor([2.0], dtype=dtype)
+    )
     assert value.item() == pytest.approx(1 / 12)
     finite_gradients(value, weights)
 
 
 def test_gradcheck():
-    assert torch.autograd.gradcheck(distortion, [tensor.requires_grad_() for tensor in random_rays()])
+    assert torch.autograd.gradcheck(
+        distortion, [tensor.requires_grad_() for tensor in random_rays()]
+    )
 
 
 def test_doubling_the_batch_changes_nothing():
@@ -117,7 +137,9 @@ def test_doubling_the_batch_changes_nothing():
 
 def test_units_cancel(dtype):
     weights, t_edges, depth = (tensor.to(dtype) for tensor in random_rays())
-    torch.testing.assert_close(distortion(weights, t_edges * 1024, depth * 1024), distortion(weights, t_edges, depth))
+    torch.testing.assert_close(
+        distortion(weights, t_edges * 1024, depth * 1024), distortion(weights, t_edges, depth)
+    )
 
 
 def two_rays(rendering):
@@ -136,7 +158,9 @@ def test_loss_with_the_depth_detached(rendering, step):
     detached = all_pairs(made.weights, made.t_edges, made.depth.detach())
     terms = Distortion(detach_depth=True).nerfreg_loss(made, step())
     args = {"inputs": made.tau, "retain_graph": True}
-    torch.testing.assert_close(torch.autograd.grad(terms["distortion"], **args), torch.autograd.grad(detached, **args))
+    torch.testing.assert_close(
+        torch.autograd.grad(terms["distortion"], **args), torch.autograd.grad(detached, **args)
+    )
 
 
 def test_loss_as_in_the_authors_program(rendering, step):
@@ -151,14 +175,19 @@ def test_loss_as_in_the_authors_program(rendering, step):
 
 def test_loss_of_some_rays_is_that_of_one_of_them(rendering, step):
     made = two_rays(rendering)
-    each = [all_pairs(made.weights[i : i + 1], made.t_edges[i : i + 1], made.depth[i : i + 1]) for i in (0, 1)]
+    each = [
+        all_pairs(made.weights[i : i + 1], made.t_edges[i : i + 1], made.depth[i : i + 1])
+        for i in (0, 1)
+    ]
     chosen = {
         round(Distortion(max_rays=1).nerfreg_loss(made, state)["distortion"].item(), 9)
         for state in [step()]
         for _ in range(20)
     }
     assert chosen == {round(value.item(), 9) for value in each}
-    torch.testing.assert_close(Distortion(max_rays=2).nerfreg_loss(made, step())["distortion"], (each[0] + each[1]) / 2)
+    torch.testing.assert_close(
+        Distortion(max_rays=2).nerfreg_loss(made, step())["distortion"], (each[0] + each[1]) / 2
+    )
 
 
 def test_starts_after_a_tenth_of_the_budget(step):

@@ -13,7 +13,15 @@ SAMPLES = Samples(POSITIONS, torch.zeros(2, 3), torch.zeros(2, 3), density_width
 
 @pytest.mark.parametrize(
     ("count", "ratio", "kept"),
-    [(32, 0.0, 0), (32, 0.03, 0), (32, 1 / 32, 1), (32, 0.5, 16), (32, 0.999, 31), (32, 1.0, 32), (16, 0.99, 15)],
+    [
+        (32, 0.0, 0),
+        (32, 0.03, 0),
+        (32, 1 / 32, 1),
+        (32, 0.5, 16),
+        (32, 0.999, 31),
+        (32, 1.0, 32),
+        (16, 0.99, 15),
+    ],
 )
 def test_floor_of_the_share_is_kept(count, ratio, kept):
     assert active_features(count, ratio) == kept
@@ -57,7 +65,9 @@ def test_fractional():
     ],
 )
 def test_ratio_grows_linearly(initial, saturation, fraction, ratio):
-    assert EncodingMask(initial=initial, saturation=saturation).ratio(fraction) == pytest.approx(ratio)
+    assert EncodingMask(initial=initial, saturation=saturation).ratio(fraction) == pytest.approx(
+        ratio
+    )
 
 
 def seen(plugin: Regularizer, step, fraction: float) -> tuple[float | None, float | None]:
@@ -70,7 +80,10 @@ def test_encoder_input(step):
     # Half way: 16 of 32 grid features, 8 of 16 direction features.
     both = [Network.density, Network.color]
     assert seen(EncodingMask(initial=0.0, saturation=1.0), step, 0.5) == (16, None)
-    assert seen(EncodingMask(initial=0.0, saturation=1.0, networks=[Network.color]), step, 0.5) == (None, 8)
+    assert seen(EncodingMask(initial=0.0, saturation=1.0, networks=[Network.color]), step, 0.5) == (
+        None,
+        8,
+    )
     assert seen(EncodingMask(initial=0.0, saturation=1.0, networks=both), step, 0.51) == (16, 8)
     plugin = EncodingMask(initial=0.0, saturation=1.0, networks=both, fractional=True)
     assert seen(plugin, step, 0.51) == pytest.approx((16.32, 8.16))

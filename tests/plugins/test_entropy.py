@@ -17,7 +17,9 @@ def test_by_hand(dtype):
 
 
 def test_a_uniform_ray_has_the_largest_entropy(dtype):
-    assert ray_entropy(torch.full((2, 64), 0.5, dtype=dtype), 0.1).item() == pytest.approx(math.log(64), rel=1e-6)
+    assert ray_entropy(torch.full((2, 64), 0.5, dtype=dtype), 0.1).item() == pytest.approx(
+        math.log(64), rel=1e-6
+    )
 
 
 def test_rays_up_to_the_threshold_are_0_and_still_count(dtype, finite_gradients):
@@ -65,13 +67,17 @@ def test_half_precision_is_computed_in_float32(half):
 
 
 def test_gradcheck():
-    alphas = torch.rand(3, 5, dtype=torch.float64, generator=torch.Generator().manual_seed(0)).requires_grad_()
+    alphas = torch.rand(
+        3, 5, dtype=torch.float64, generator=torch.Generator().manual_seed(0)
+    ).requires_grad_()
     assert torch.autograd.gradcheck(lambda x: ray_entropy(x, 0.1), alphas)
 
 
 def test_doubling_the_batch_changes_nothing():
     alphas = torch.rand(3, 5, generator=torch.Generator().manual_seed(0))
-    torch.testing.assert_close(ray_entropy(torch.cat([alphas, alphas]), 0.1), ray_entropy(alphas, 0.1))
+    torch.testing.assert_close(
+        ray_entropy(torch.cat([alphas, alphas]), 0.1), ray_entropy(alphas, 0.1)
+    )
 
 
 def test_loss(rendering, dtype, finite_gradients):

@@ -16,7 +16,9 @@ def test_by_hand(dtype):
 
 
 def test_equals_that_of_thickness_forward_and_backward():
-    tau = torch.rand(4, 5, dtype=torch.float64, generator=torch.Generator().manual_seed(0)).requires_grad_()
+    tau = torch.rand(
+        4, 5, dtype=torch.float64, generator=torch.Generator().manual_seed(0)
+    ).requires_grad_()
     weights = (tau - tau.cumsum(-1)).exp() * -torch.expm1(-tau)
     a, b = full_geometry(weights), full_geometry_of_thickness(tau)
     torch.testing.assert_close(a, b)
@@ -28,7 +30,9 @@ def test_opaque_rays_keep_their_digits(dtype, finite_gradients):
     tau = torch.tensor([[12.0, 8.0]], dtype=dtype, requires_grad=True)
     value = full_geometry_of_thickness(tau)
     assert value.item() == pytest.approx(math.exp(-40), rel=1e-5)
-    assert finite_gradients(value, tau)[0].tolist() == [pytest.approx([-2 * math.exp(-40)] * 2, rel=1e-5)]
+    assert finite_gradients(value, tau)[0].tolist() == [
+        pytest.approx([-2 * math.exp(-40)] * 2, rel=1e-5)
+    ]
 
 
 @pytest.mark.parametrize("tau", [0.0, 1e-30, 1e8, 1e38])
@@ -57,7 +61,9 @@ def test_half_precision_is_computed_in_float32(half):
 
 
 def test_gradcheck():
-    x = torch.rand(3, 4, dtype=torch.float64, generator=torch.Generator().manual_seed(0)).requires_grad_()
+    x = torch.rand(
+        3, 4, dtype=torch.float64, generator=torch.Generator().manual_seed(0)
+    ).requires_grad_()
     assert torch.autograd.gradcheck(full_geometry, x)
     assert torch.autograd.gradcheck(full_geometry_of_thickness, x)
 
@@ -70,7 +76,9 @@ def test_doubling_the_batch_changes_nothing():
 def test_loss(rendering):
     # Half the light passes the first ray, none is stopped in the second: (1/4 + 1) / 2.
     tau = torch.tensor([[math.log(2), 0.0], [0.0, 0.0]])
-    assert FullGeometry().nerfreg_loss(rendering(tau))["full_geometry"].item() == pytest.approx(0.625)
+    assert FullGeometry().nerfreg_loss(rendering(tau))["full_geometry"].item() == pytest.approx(
+        0.625
+    )
 
 
 def test_needs():

@@ -29,11 +29,15 @@ def test_weights_that_underflow_have_a_true_divergence(dtype, finite_gradients):
     raw_p, raw_q = [-1000.0, -1001.5, -1003.0], [-2000.25, -2000.0, -2004.0]
     mpmath.mp.dps = 50
     p, q = ([mpmath.exp(x) for x in raw] for raw in (raw_p, raw_q))
-    expected = sum(a / sum(p) * mpmath.log(a / sum(p) / (b / sum(q))) for a, b in zip(p, q, strict=True))
+    expected = sum(
+        a / sum(p) * mpmath.log(a / sum(p) / (b / sum(q))) for a, b in zip(p, q, strict=True)
+    )
     ray = torch.tensor([raw_p], dtype=dtype, requires_grad=True)
     neighbor = torch.tensor([raw_q], dtype=dtype, requires_grad=True)
     value = kl_divergence(ray, neighbor)
-    assert value.item() == pytest.approx(float(expected), rel=1e-6 if dtype == torch.float32 else 1e-11)
+    assert value.item() == pytest.approx(
+        float(expected), rel=1e-6 if dtype == torch.float32 else 1e-11
+    )
     finite_gradients(value, ray, neighbor)
 
 
@@ -61,7 +65,9 @@ def test_neighbours_that_nearly_agree_keep_their_digits(dtype, finite_gradients,
     # neighbour's weights (the offset) is rounded together with them, so float64 knows their difference to 1e-14 only.
     generator = torch.Generator().manual_seed(0)
     ray = (-5 * torch.rand(1, 48, dtype=torch.float64, generator=generator)).to(dtype)
-    neighbor = (ray.double() + offset + apart * torch.randn(1, 48, dtype=torch.float64, generator=generator)).to(dtype)
+    neighbor = (
+        ray.double() + offset + apart * torch.randn(1, 48, dtype=torch.float64, generator=generator)
+    ).to(dtype)
     with mpmath.workdps(50):
         p, q = ([mpmath.exp(x) for x in log_weights[0].tolist()] for log_weights in (ray, neighbor))
         p, q = ([x / mpmath.fsum(values) for x in values] for values in (p, q))
@@ -70,7 +76,9 @@ def test_neighbours_that_nearly_agree_keep_their_digits(dtype, finite_gradients,
     value = kl_divergence(ray, neighbor)
     assert expected > 0
     exact = offset == 0 or dtype == torch.float32
-    assert value.item() == pytest.approx(float(expected), rel=1e-11 if exact and dtype == torch.float64 else 1e-5)
+    assert value.item() == pytest.approx(
+        float(expected), rel=1e-11 if exact and dtype == torch.float64 else 1e-5
+    )
     finite_gradients(value, ray, neighbor)
 
 
@@ -101,7 +109,10 @@ def test_extremely_dark_samples(dtype, finite_gradients, extreme):
 
 def test_gradcheck():
     generator = torch.Generator().manual_seed(0)
-    p, q = (torch.randn(3, 5, dtype=torch.float64, generator=generator).requires_grad_() for _ in range(2))
+    p, q = (
+        torch.randn(3, 5, dtype=torch.float64, generator=generator).requires_grad_()
+        for _ in range(2)
+    )
     assert torch.autograd.gradcheck(kl_divergence, (p, q))
 
 
@@ -123,7 +134,11 @@ FLOOR = math.log(1e-10)
     ("density", "direction", "expected"),
     [
         # p = (2/3, 1/3), q = (1, 0)
-        (Density.weights, Direction.forward, 2 / 3 * math.log(2 / 3) + 1 / 3 * (math.log(1 / 3) - FLOOR)),
+        (
+            Density.weights,
+            Direction.forward,
+            2 / 3 * math.log(2 / 3) + 1 / 3 * (math.log(1 / 3) - FLOOR),
+        ),
         # p = (1, 0), q = (2/3, 1/3)
         (Density.weights, Direction.reverse, math.log(3 / 2)),
         # p = (1/2, 1/2), q = (1, 0)
@@ -160,5 +175,7 @@ def test_without_neighbours_there_is_no_term(rendering, step):
 
 
 def test_needs():
-    assert KLDivergence().nerfreg_needs() == Needs(patch_size=2, patch_fraction=0.0625, neighbors="patch")
+    assert KLDivergence().nerfreg_needs() == Needs(
+        patch_size=2, patch_fraction=0.0625, neighbors="patch"
+    )
     assert KLDivergence(neighbors=Neighbors.extra).nerfreg_needs() == Needs(neighbors="extra")

@@ -4,7 +4,14 @@ import math
 
 import pytest
 import torch
-from nerfreg_plugins.lipschitz import Activation, Lipschitz, LipschitzLinear, Network, normalize_rows, softplus
+from nerfreg_plugins.lipschitz import (
+    Activation,
+    Lipschitz,
+    LipschitzLinear,
+    Network,
+    normalize_rows,
+    softplus,
+)
 from torch.nn import functional
 
 from nerfreg.field.layers import Linear
@@ -32,7 +39,9 @@ def test_extreme_bounds_and_rows(dtype, finite_gradients, k, scale):
     rows = normalize_rows(weight, bound)
     finite_gradients(rows.sum(), weight, bound)
     exact = k if k > 50 else math.log1p(math.exp(k))
-    for row, limit in zip(rows.abs().sum(-1).tolist(), weight.detach().abs().sum(-1).tolist(), strict=True):
+    for row, limit in zip(
+        rows.abs().sum(-1).tolist(), weight.detach().abs().sum(-1).tolist(), strict=True
+    ):
         assert row == pytest.approx(min(limit, exact), rel=1e-5, abs=1e-44)
     assert (rows[1] == 0).all()
 
@@ -46,21 +55,27 @@ def test_huge_rows_come_down_to_the_bound(finite_gradients, k):
     exact = k if k > 50 else math.log1p(math.exp(k))
     assert rows[0].tolist() == pytest.approx([exact / 4] * 4, rel=1e-6)
     # The row is as long as its bound: d softplus(k) / dk = 1 / (1 + exp(-k)).
-    assert finite_gradients(rows.sum(), weight, bound)[1].item() == pytest.approx(1 / (1 + math.exp(-k)), rel=1e-5)
+    assert finite_gradients(rows.sum(), weight, bound)[1].item() == pytest.approx(
+        1 / (1 + math.exp(-k)), rel=1e-5
+    )
 
 
 @pytest.mark.parametrize("half", [torch.bfloat16, torch.float16])
 def test_half_precision_is_computed_in_float32(half):
     weight = torch.randn(5, 3, generator=torch.Generator().manual_seed(0)).to(half)
     k = torch.tensor(0.5, dtype=half)
-    assert torch.equal(normalize_rows(weight, k), normalize_rows(weight.float(), k.float()).to(half))
+    assert torch.equal(
+        normalize_rows(weight, k), normalize_rows(weight.float(), k.float()).to(half)
+    )
 
 
 @pytest.mark.parametrize("k", [-50.0, -5.0, 21.0, 1e4])
 def test_softplus_is_exact(k):
     # torch's own is linear from 20 on, where log(1 + exp(21)) still differs from 21 by 7.6e-10.
     value = softplus(torch.tensor(k, dtype=torch.float64)).item()
-    assert value == pytest.approx(k + math.log1p(math.exp(-k)) if k > 0 else math.log1p(math.exp(k)), rel=1e-15)
+    assert value == pytest.approx(
+        k + math.log1p(math.exp(-k)) if k > 0 else math.log1p(math.exp(k)), rel=1e-15
+    )
 
 
 def test_rows_within_the_bound_are_exact():
@@ -69,7 +84,9 @@ def test_rows_within_the_bound_are_exact():
 
 
 def test_gradcheck():
-    weight = torch.randn(5, 3, dtype=torch.float64, generator=torch.Generator().manual_seed(0)).requires_grad_()
+    weight = torch.randn(
+        5, 3, dtype=torch.float64, generator=torch.Generator().manual_seed(0)
+    ).requires_grad_()
     k = torch.tensor(1.5, dtype=torch.float64, requires_grad=True)
     sums = weight.detach().abs().sum(-1)
     assert sums.min() < softplus(k.detach()) < sums.max(), "both branches are checked"

@@ -43,12 +43,16 @@ def test_packed_samples(dtype):
     # All of the samples within the first tenth: their plain mean.
     weights = torch.tensor([[0.1, 0.3]], dtype=dtype)
     edges = torch.tensor([[2.0, 2.0 + 1e-6, 2.0 + 2e-6]], dtype=dtype)
-    value = occlusion(weights, edges, torch.tensor([2.0], dtype=dtype), torch.tensor([6.0], dtype=dtype), 0.1)
+    value = occlusion(
+        weights, edges, torch.tensor([2.0], dtype=dtype), torch.tensor([6.0], dtype=dtype), 0.1
+    )
     assert value.item() == pytest.approx(0.2)
 
 
 def test_gradcheck_and_doubling_the_batch():
-    weights, edges, near, far = four_samples([[0.4, 0.2, 0.1, 0.3], [0.1, 0.1, 0.1, 0.1]], torch.float64)
+    weights, edges, near, far = four_samples(
+        [[0.4, 0.2, 0.1, 0.3], [0.1, 0.1, 0.1, 0.1]], torch.float64
+    )
     assert torch.autograd.gradcheck(lambda w: occlusion(w, edges, near, far, 0.5), weights)
     double = (torch.cat([x, x]) for x in (weights, edges, near, far))
     torch.testing.assert_close(occlusion(*double, 0.5), occlusion(weights, edges, near, far, 0.5))
@@ -71,8 +75,13 @@ def test_far_away_the_border_is_exact(dtype):
 def test_loss(rendering):
     # Four intervals of length 1 with tau 2: the first weight is 1 - exp(-2), the first density 2.
     made = rendering(torch.full((3, 4), 2.0))
-    assert Occlusion(fraction=0.25).nerfreg_loss(made)["occlusion"].item() == pytest.approx(0.8646647)
-    assert Occlusion(fraction=0.25, quantity=Quantity.density).nerfreg_loss(made)["occlusion"].item() == 2
+    assert Occlusion(fraction=0.25).nerfreg_loss(made)["occlusion"].item() == pytest.approx(
+        0.8646647
+    )
+    assert (
+        Occlusion(fraction=0.25, quantity=Quantity.density).nerfreg_loss(made)["occlusion"].item()
+        == 2
+    )
 
 
 def test_infinite_thickness(rendering, dtype, finite_gradients):

@@ -71,7 +71,12 @@ def composed(*overrides: str) -> dict[str, Regularizer]:
         store.store(name="stub", node=Stub)
         for name, cls in CLASSES.items():
             plugin = getattr(import_module(f"nerfreg_plugins.{name}"), cls)
-            store.store(group="reg", name=name, node=plugin_schema(name, plugin), package=f"_global_.reg.{name}")
+            store.store(
+                group="reg",
+                name=name,
+                node=plugin_schema(name, plugin),
+                package=f"_global_.reg.{name}",
+            )
         with initialize_config_dir(str(CONF), version_base="1.3"):
             return OmegaConf.to_object(compose("stub", list(overrides)).reg)
     finally:
@@ -110,12 +115,16 @@ def test_options_that_presets_change():
 )
 def test_weights_follow_the_layout(layout, expected):
     reg = composed("+reg=combinerf", f"scene.layout={layout}")
-    weights = [reg[name].weight for name in ("distortion", "full_geometry", "kl", "depth_smoothness")]
+    weights = [
+        reg[name].weight for name in ("distortion", "full_geometry", "kl", "depth_smoothness")
+    ]
     assert (*weights, reg["encoding_mask"].saturation) == expected
 
 
 def test_what_the_user_says_wins_and_lists_of_plugins_work():
-    reg = composed("+reg=combinerf", "reg.distortion.weight=0.5", "reg.lipschitz.networks=[density]")
+    reg = composed(
+        "+reg=combinerf", "reg.distortion.weight=0.5", "reg.lipschitz.networks=[density]"
+    )
     assert (reg["distortion"].weight, reg["lipschitz"].networks) == (0.5, ["density"])
     assert set(composed("+reg=[kl,occlusion]")) == {"kl", "occlusion"}
     assert set(composed("+reg=[combinerf,occlusion]")) == COMBINERF | {"occlusion"}
@@ -145,4 +154,6 @@ def test_every_plugin_says_what_it_is_and_whom_to_cite(name):
     cls = getattr(import_module(f"nerfreg_plugins.{name}"), CLASSES[name])
     assert cls.cite.startswith(("@inproceedings{", "@article{"))
     assert cls.cite.count("{") == cls.cite.count("}")
-    assert not (cls.__doc__ or "").startswith(f"{cls.__name__}("), "a dataclass without a docstring gets its signature"
+    assert not (cls.__doc__ or "").startswith(f"{cls.__name__}("), (
+        "a dataclass without a docstring gets its signature"
+    )

@@ -14,7 +14,9 @@ def all_of(patches):
 
 def test_by_hand(dtype, finite_gradients):
     # 1 2 / 2 8: right log 2 and log 4, down log 2 and log 4; squares (1 + 4 + 1 + 4) log(2)^2. The flat patch adds 0.
-    depth = torch.tensor([[[1.0, 2.0], [2.0, 8.0]], [[3.0, 3.0], [3.0, 3.0]]], dtype=dtype, requires_grad=True)
+    depth = torch.tensor(
+        [[[1.0, 2.0], [2.0, 8.0]], [[3.0, 3.0], [3.0, 3.0]]], dtype=dtype, requires_grad=True
+    )
     value = relative_smoothness(depth, all_of(depth))
     assert value.item() == pytest.approx(10 * math.log(2) ** 2 / 2)
     # d/dlog of the 8: twice log 4, times 2 for the square, over 2 patches; and 1/8 for d log d.
@@ -61,8 +63,12 @@ def test_no_patch_and_patches_of_one_pixel():
 
 
 def test_gradcheck():
-    depth = torch.rand(2, 3, 3, dtype=torch.float64, generator=torch.Generator().manual_seed(0)) + 0.5
-    assert torch.autograd.gradcheck(lambda d: relative_smoothness(d, all_of(d)), depth.requires_grad_())
+    depth = (
+        torch.rand(2, 3, 3, dtype=torch.float64, generator=torch.Generator().manual_seed(0)) + 0.5
+    )
+    assert torch.autograd.gradcheck(
+        lambda d: relative_smoothness(d, all_of(d)), depth.requires_grad_()
+    )
 
 
 def test_only_unseen_patches_count(rendering):
@@ -70,7 +76,13 @@ def test_only_unseen_patches_count(rendering):
     made = rendering(torch.ones(4, 2))
     assert plugin.nerfreg_loss(made) == {}
     squares = torch.arange(4).view(1, 2, 2)
-    made = replace(made, depth=torch.tensor([1.0, 2.0, 2.0, 8.0]), rays=replace(made.rays, unseen_patches=squares))
-    assert plugin.nerfreg_loss(made)["unseen_smoothness"].item() == pytest.approx(10 * math.log(2) ** 2)
+    made = replace(
+        made,
+        depth=torch.tensor([1.0, 2.0, 2.0, 8.0]),
+        rays=replace(made.rays, unseen_patches=squares),
+    )
+    assert plugin.nerfreg_loss(made)["unseen_smoothness"].item() == pytest.approx(
+        10 * math.log(2) ** 2
+    )
     needs = plugin.nerfreg_needs()
     assert (needs.patch_size, needs.unseen_patches, needs.patch_fraction) == (8, 0.125, 0.0)

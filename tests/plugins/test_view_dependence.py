@@ -22,7 +22,9 @@ def test_degrees_are_those_of_the_harmonics():
     """A harmonic of degree l turns its sign with the direction if l is odd, and only then."""
     directions = torch.nn.functional.normalize(torch.randn(5, 3), dim=-1)
     signs = damping(16, -1.0)
-    torch.testing.assert_close(spherical_harmonics(-directions), signs * spherical_harmonics(directions))
+    torch.testing.assert_close(
+        spherical_harmonics(-directions), signs * spherical_harmonics(directions)
+    )
 
 
 def test_only_the_first_colour_layer_is_damped():
@@ -67,5 +69,8 @@ def test_a_layer_inside_that_is_not_affine_or_shifted():
 @pytest.mark.parametrize("scale", [0.0, 1.0])
 def test_nothing_of_the_direction_and_all_of_it(scale):
     layer = Damped(Linear(16, 3), damping(16, scale))
-    a, b = (spherical_harmonics(torch.nn.functional.normalize(torch.randn(5, 3), dim=-1)) for _ in range(2))
+    a, b = (
+        spherical_harmonics(torch.nn.functional.normalize(torch.randn(5, 3), dim=-1))
+        for _ in range(2)
+    )
     assert torch.allclose(layer(a), layer(b)) == (scale == 0.0)

@@ -29,7 +29,11 @@ def test_what_is_measured_is_never_measured_again(tmp_path: Path) -> None:
     measured = CellFile(tmp_path / "new", "f", first)(TRIAL)
     again = CellFile(tmp_path / "new", "f", second)
     assert again(TRIAL) == measured and not second.asked and again.reused == 1
-    for other in (Trial((), CELL, 50), Trial(TRIAL.regularizers, OTHER_CELL, 50), Trial(TRIAL.regularizers, CELL, 51)):
+    for other in (
+        Trial((), CELL, 50),
+        Trial(TRIAL.regularizers, OTHER_CELL, 50),
+        Trial(TRIAL.regularizers, CELL, 51),
+    ):
         again(other)
     assert len(second.asked) == 3
 
@@ -84,7 +88,9 @@ def test_cost() -> None:
     ledger.add(vanilla)
     assert ledger.spent == pytest.approx(3.0)
     assert ledger.cost([vanilla]) == 0.0
-    assert ledger.cost([Trial((), OTHER_CELL, 100), Trial((), OTHER_CELL, 300)]) == pytest.approx(3.0 + 5.0)
+    assert ledger.cost([Trial((), OTHER_CELL, 100), Trial((), OTHER_CELL, 300)]) == pytest.approx(
+        3.0 + 5.0
+    )
     assert ledger.cost([TRIAL]) == pytest.approx(2.5)  # as the only set that is known
     ledger.add(TRIAL)
     assert ledger.cost([Trial(TRIAL.regularizers, OTHER_CELL, 200)]) == pytest.approx(5.0)

@@ -65,7 +65,9 @@ def test_the_first_look_takes_whole_rounds_of_four_cells_or_more(folds: int, fir
 
 def test_comparisons() -> None:
     design = Design(("a", "b", "c"), ((0,), (1,)), (10,))
-    assert design.comparisons(Context.SET)[1] == Comparison("b", Context.SET, ("a", "b", "c"), ("a", "c"))
+    assert design.comparisons(Context.SET)[1] == Comparison(
+        "b", Context.SET, ("a", "b", "c"), ("a", "c")
+    )
     assert design.comparisons(Context.ALONE)[1] == Comparison("b", Context.ALONE, ("b",), ())
     assert [len(design.comparisons(context)) for context in Context] == [3, 3]
 
@@ -73,5 +75,11 @@ def test_comparisons() -> None:
 def test_labels() -> None:
     design = Design(("a", "b", "c", "d"), ((0,), (1,)), (10,))
     sets = (("a", "b", "c", "d"), (), ("a", "c", "d"), ("c",), ("b", "d"))
-    assert [design.label(names) for names in sets] == ["full set", "vanilla", "without b", "c alone", "b+d"]
+    assert [design.label(names) for names in sets] == [
+        "full set",
+        "vanilla",
+        "without b",
+        "c alone",
+        "b+d",
+    ]
     assert Design(("a",), ((0,), (1,)), (10,)).label(()) == "vanilla"

@@ -26,7 +26,9 @@ def test_a_preset_selects_the_set_with_the_users_settings(compose: Callable[...,
     again = compose("+reg=pruned_fern", "scene.layout=forward")
     assert again.reg == {name: config.reg[name] for name in ("kl", "distortion", "lipschitz")}
     assert again.reg["kl"].start == 100 and isinstance(again.reg["kl"].start, int)
-    assert again.reg["kl"].density == config.reg["kl"].density != compose("+reg=kl").reg["kl"].density
+    assert (
+        again.reg["kl"].density == config.reg["kl"].density != compose("+reg=kl").reg["kl"].density
+    )
     # and on top of it the command line still has the last word
     assert compose("+reg=pruned_fern", "reg.kl.weight=0.5").reg["kl"].weight == 0.5
 
@@ -37,7 +39,8 @@ def test_what_nobody_changed_follows_the_layout(compose: Callable[..., Config]) 
     assert changed_settings(config, "kl") == {"weight": 0.25}
     write_preset(preset_path("mine"), config, ("distortion",), ["of it."])
     orbit, forward = (
-        compose("+reg=mine", f"scene.layout={layout}").reg["distortion"] for layout in ("orbit", "forward")
+        compose("+reg=mine", f"scene.layout={layout}").reg["distortion"]
+        for layout in ("orbit", "forward")
     )
     assert forward == config.reg["distortion"] and orbit.weight != forward.weight
 
@@ -49,7 +52,11 @@ def test_nothing_left_is_vanilla(compose: Callable[..., Config]) -> None:
 
 @pytest.mark.parametrize(
     ("scene", "name"),
-    [("fern", "pruned_fern"), ("procedural-orbit", "pruned_procedural_orbit"), ("my photos (2)", "pruned_my_photos_2")],
+    [
+        ("fern", "pruned_fern"),
+        ("procedural-orbit", "pruned_procedural_orbit"),
+        ("my photos (2)", "pruned_my_photos_2"),
+    ],
 )
 def test_names(scene: str, name: str) -> None:
     assert preset_name(scene) == name
@@ -58,18 +65,24 @@ def test_names(scene: str, name: str) -> None:
 def test_names_that_are_taken(compose: Callable[..., Config]) -> None:
     compose()
     for name in ("kl", "combinerf"):
-        with pytest.raises(NerfregError, match=f"--name {name}: a plugin or preset of this name exists"):
+        with pytest.raises(
+            NerfregError, match=f"--name {name}: a plugin or preset of this name exists"
+        ):
             preset_path(name)
     for name in ("a/b", "", "+x", "../up"):
         with pytest.raises(NerfregError, match="use letters, digits"):
             preset_path(name)
 
 
-def test_a_preset_of_the_users_own_is_not_overwritten_but_ours_is(compose: Callable[..., Config]) -> None:
+def test_a_preset_of_the_users_own_is_not_overwritten_but_ours_is(
+    compose: Callable[..., Config],
+) -> None:
     config = compose("+reg=kl")
     path = preset_path("mine")
     write_preset(path, config, ("kl",), ["of it."])
     assert preset_path("mine") == path
     path.write_text("defaults: [kl, _self_]\n")
-    with pytest.raises(NerfregError, match=r"mine\.yaml: exists, and nerfreg prune did not write it"):
+    with pytest.raises(
+        NerfregError, match=r"mine\.yaml: exists, and nerfreg prune did not write it"
+    ):
         preset_path("mine")

@@ -24,7 +24,12 @@ def measure(trial: Trial) -> Measurement:
     noise = random.Random(repr(trial)).gauss(0, 0.01)
     level = 20.0 + trial.cell.seed + sum(GAINS[name] for name in trial.regularizers)
     step_seconds = 0.02 if "lipschitz" in trial.regularizers else 0.01
-    return Measurement(level + noise, 0.1 - 0.01 * len(trial.regularizers), step_seconds, step_seconds * trial.steps)
+    return Measurement(
+        level + noise,
+        0.1 - 0.01 * len(trial.regularizers),
+        step_seconds,
+        step_seconds * trial.steps,
+    )
 
 
 def studied(budget: float) -> Summary:
@@ -38,7 +43,11 @@ def test_sets_and_their_front() -> None:
     summary = studied(1000.0)
     found = set_points(summary.design, summary.ledger)
     points = {point.regularizers: point for point in found if point.steps == 25}
-    expected = {("kl",): (1.0, -0.5, True), (): (0.0, -0.5, False), ("kl", "lipschitz"): (0.0, 0.0, False)}
+    expected = {
+        ("kl",): (1.0, -0.5, True),
+        (): (0.0, -0.5, False),
+        ("kl", "lipschitz"): (0.0, 0.0, False),
+    }
     for names, (gain, time, on_front) in expected.items():
         assert points[names].gain.mean == pytest.approx(gain, abs=0.05)
         assert points[names].time.mean == pytest.approx(time)
@@ -52,7 +61,9 @@ def test_sets_and_their_front() -> None:
         (("kl", "lipschitz"), 100, False),
     ]
     assert [point.steps for point in found] == [100, 100, 25, 25, 25, 25]
-    assert [point.gain.mean for point in found[2:]] == sorted((p.gain.mean for p in found[2:]), reverse=True)
+    assert [point.gain.mean for point in found[2:]] == sorted(
+        (p.gain.mean for p in found[2:]), reverse=True
+    )
 
 
 def test_what_is_printed() -> None:

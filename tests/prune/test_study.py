@@ -9,7 +9,15 @@ import pytest
 
 from nerfreg.prune.advice import budget_needed
 from nerfreg.prune.ledger import Ledger, Measurement
-from nerfreg.prune.plan import Comparison, Context, Design, Selection, Trial, make_folds, make_ladder
+from nerfreg.prune.plan import (
+    Comparison,
+    Context,
+    Design,
+    Selection,
+    Trial,
+    make_folds,
+    make_ladder,
+)
 from nerfreg.prune.study import Outcome, Study
 from nerfreg.prune.verdicts import Verdict
 
@@ -27,12 +35,16 @@ def made_up(gain: Gain, noise: float, salt: int = 0) -> Callable[[Trial], Measur
         level = random.Random(f"{salt} {trial.cell}").gauss(20, 2)
         own = random.Random(f"{salt} {trial}").gauss(0, noise)
         step_seconds = 0.01 + 0.001 * len(trial.regularizers)
-        return Measurement(level + gain(trial.regularizers) + own, None, step_seconds, step_seconds * trial.steps)
+        return Measurement(
+            level + gain(trial.regularizers) + own, None, step_seconds, step_seconds * trial.steps
+        )
 
     return measure
 
 
-def study(names: str, measure: Callable[[Trial], Measurement], budget: float) -> tuple[Study, Outcome]:
+def study(
+    names: str, measure: Callable[[Trial], Measurement], budget: float
+) -> tuple[Study, Outcome]:
     """Three views, runs of 400 steps, of 4 seconds and more each."""
     made = Study(
         Design(tuple(names), make_folds(3, None), make_ladder(None, 400)),
@@ -72,7 +84,9 @@ def test_true_contributions_lie_in_the_intervals(clear: tuple[Study, Outcome]) -
     for comparison, finding in clear[1].findings.items():
         assert finding.gain.low <= truth[comparison.regularizer] <= finding.gain.high
     # In the set: 13 ms a step against 12; alone: 11 against 10.
-    for comparison, share in ((finding.comparison, finding) for finding in clear[1].findings.values()):
+    for comparison, share in (
+        (finding.comparison, finding) for finding in clear[1].findings.values()
+    ):
         expected = 1 / 12 if comparison.context is Context.SET else 1 / 10
         assert share.time.mean == pytest.approx(expected)
 
@@ -141,14 +155,18 @@ def test_one_of_two_that_replace_each_other_goes() -> None:
 
 @pytest.mark.parametrize("budget", [40.0, 60.0, 100.0, 6000.0])
 @pytest.mark.parametrize("pays_from", [200, 400])
-def test_what_hurts_a_short_training_and_pays_in_a_long_one_is_not_dropped(pays_from: int, budget: float) -> None:
+def test_what_hurts_a_short_training_and_pays_in_a_long_one_is_not_dropped(
+    pays_from: int, budget: float
+) -> None:
     whole = made_up(additive(a=0.0), 0.05)
 
     def measure(trial: Trial) -> Measurement:
         measured = whole(trial)
         assert measured.psnr is not None
         late = 1.0 if trial.steps >= pays_from else -1.0
-        return Measurement(measured.psnr + late * len(trial.regularizers), None, 0.01, measured.seconds)
+        return Measurement(
+            measured.psnr + late * len(trial.regularizers), None, 0.01, measured.seconds
+        )
 
     _, outcome = study("a", measure, budget)
     assert verdicts(outcome) == {"a": Verdict.HURTS}
@@ -174,7 +192,10 @@ def test_a_set_that_cannot_be_trained_is_not_judged() -> None:
 
     _, outcome = study("ab", measure, 400.0)
     found = {(f.comparison.regularizer, f.comparison.context): f for f in outcome.findings.values()}
-    assert found["a", Context.SET].verdict is Verdict.CANNOT_TELL and found["a", Context.SET].gain.count == 0
+    assert (
+        found["a", Context.SET].verdict is Verdict.CANNOT_TELL
+        and found["a", Context.SET].gain.count == 0
+    )
     assert found["a", Context.ALONE].verdict is Verdict.HELPS
 
 
@@ -184,7 +205,9 @@ def test_false_verdicts_are_rare_in_spite_of_many_looks() -> None:
     wrong = 0
     for salt in range(40):
         _, outcome = study("ab", made_up(additive(a=0.0, b=0.0), 0.3, salt), 200.0)
-        wrong += any(verdict in (Verdict.HELPS, Verdict.HURTS) for verdict in verdicts(outcome).values())
+        wrong += any(
+            verdict in (Verdict.HELPS, Verdict.HURTS) for verdict in verdicts(outcome).values()
+        )
     assert wrong <= 6
 
 
@@ -192,7 +215,9 @@ def test_a_set_that_is_worse_is_rarely_confirmed() -> None:
     # Without a the set is 0.4 dB worse, four times what is tolerated; at most 1.5 of 30 by chance.
     dropped = 0
     for salt in range(30):
-        dropped += "a" not in study("ab", made_up(additive(a=0.4, b=0.0), 0.3, salt), 200.0)[1].pruned
+        dropped += (
+            "a" not in study("ab", made_up(additive(a=0.4, b=0.0), 0.3, salt), 200.0)[1].pruned
+        )
     assert dropped <= 5
 
 

@@ -32,17 +32,33 @@ def photographs(tmp_path: Path) -> Path:
         for index in range(count):
             turn = 2 * math.pi * index / count
             sine, cosine = math.sin(turn), math.cos(turn)
-            pose = [[cosine, 0, sine, 3 * sine], [0, 1, 0, 0], [-sine, 0, cosine, 3 * cosine], [0, 0, 0, 1]]
+            pose = [
+                [cosine, 0, sine, 3 * sine],
+                [0, 1, 0, 0],
+                [-sine, 0, cosine, 3 * cosine],
+                [0, 0, 0, 1],
+            ]
             frames.append({"file_path": f"./{part}/r_{index}", "transform_matrix": pose})
-        (tmp_path / f"transforms_{part}.json").write_text(json.dumps({"camera_angle_x": 0.7, "frames": frames}))
+        (tmp_path / f"transforms_{part}.json").write_text(
+            json.dumps({"camera_angle_x": 0.7, "frames": frames})
+        )
     (tmp_path / "train").mkdir()
     for index in range(3):
-        iio.imwrite(tmp_path / "train" / f"r_{index}.png", chance.integers(0, 256, (32, 32, 4), dtype=np.uint8))
+        iio.imwrite(
+            tmp_path / "train" / f"r_{index}.png",
+            chance.integers(0, 256, (32, 32, 4), dtype=np.uint8),
+        )
     return tmp_path
 
 
 def test_no_test_image_is_read(photographs: Path, compose: Callable[..., Config]) -> None:
-    scene = ["scene=blender", f"scene.path={photographs}", "scene.split=null", "scene.views=null", "scene.factor=1"]
+    scene = [
+        "scene=blender",
+        f"scene.path={photographs}",
+        "scene.split=null",
+        "scene.views=null",
+        "scene.factor=1",
+    ]
     config = compose(*scene, *SMALL, "+reg=distortion", "train.steps=4", "scene.held_out=[0]")
     trials = Trials(config, 2, print)
     assert trials.views == 3
@@ -54,7 +70,13 @@ def test_no_test_image_is_read(photographs: Path, compose: Callable[..., Config]
 
 
 def test_the_same_trial_gives_the_same_score(compose: Callable[..., Config]) -> None:
-    words = ("scene.size=16", "scene.views=3", *SMALL, "+reg=[distortion,lipschitz]", "scene.held_out=[0]")
+    words = (
+        "scene.size=16",
+        "scene.views=3",
+        *SMALL,
+        "+reg=[distortion,lipschitz]",
+        "scene.held_out=[0]",
+    )
     words += ("reg.distortion.weight=0.1",)
     trials = Trials(compose(*words, "train.steps=10", "train.threads=1"), 1, print)
 

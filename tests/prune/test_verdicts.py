@@ -34,7 +34,9 @@ def test_judge(low: float, high: float, verdict: Verdict) -> None:
     assert judge(between(low, high), 0.1) is verdict
 
 
-def findings(design: Design, **contributions: tuple[tuple[float, float], tuple[float, float], float]) -> dict:
+def findings(
+    design: Design, **contributions: tuple[tuple[float, float], tuple[float, float], float]
+) -> dict:
     """By name: the ends of its gain in the set and of its time, and its mean gain alone."""
     found = {}
     for comparison in (*design.comparisons(Context.SET), *design.comparisons(Context.ALONE)):
@@ -55,18 +57,28 @@ def test_proposals_put_back_the_unknown_then_the_useless_then_what_hurts() -> No
         e=(UNKNOWN, SLOWER, 0.0),
         f=(UNKNOWN, SLOWER, 0.0),
     )
-    assert proposals(design, found) == (("a",), tuple("aef"), tuple("adef"), tuple("acdef"), tuple("abcdef"))
+    assert proposals(design, found) == (
+        ("a",),
+        tuple("aef"),
+        tuple("adef"),
+        tuple("acdef"),
+        tuple("abcdef"),
+    )
 
 
 def test_what_saves_time_stays_unless_it_hurts() -> None:
     design = Design(tuple("abc"), ((0,), (1,)), (10,))
-    found = findings(design, a=(NOTHING, FASTER, 0.0), b=(HURTS, FASTER, 0.0), c=(NOTHING, SLOWER, 0.0))
+    found = findings(
+        design, a=(NOTHING, FASTER, 0.0), b=(HURTS, FASTER, 0.0), c=(NOTHING, SLOWER, 0.0)
+    )
     assert proposals(design, found) == (("a",), ("a", "c"), ("a", "b", "c"))
 
 
 def test_nothing_to_propose_where_everything_helps() -> None:
     design = Design(tuple("ab"), ((0,), (1,)), (10,))
-    assert proposals(design, findings(design, a=(HELPS, SLOWER, 1.0), b=(HELPS, SLOWER, 1.0))) == (("a", "b"),)
+    assert proposals(design, findings(design, a=(HELPS, SLOWER, 1.0), b=(HELPS, SLOWER, 1.0))) == (
+        ("a", "b"),
+    )
 
 
 def test_sentences() -> None:

@@ -33,7 +33,9 @@ def pixels_of(scene: Scene, rays: Rays) -> tuple[torch.Tensor, torch.Tensor]:
     distances = (rays.origins[:, None] - scene.cameras.poses[list(scene.train), :, 3]).norm(dim=-1)
     views = torch.tensor(scene.train)[distances.argmin(dim=1)]
     points = rays.origins + rays.directions
-    pixels = torch.stack([scene.cameras.project(p[None], int(v))[0] for p, v in zip(points, views, strict=True)])
+    pixels = torch.stack(
+        [scene.cameras.project(p[None], int(v))[0] for p, v in zip(points, views, strict=True)]
+    )
     return views, pixels
 
 
@@ -48,7 +50,9 @@ def test_targets_are_the_pixels_of_the_photographs(forward: Scene) -> None:
     rays = draw(forward, Needs(patch_size=4, patch_fraction=0.5))
     assert rays.background is None
     views, pixels = pixels_of(forward, rays)
-    for target, view, pixel in zip(rays.targets, views.tolist(), pixels.floor().long().tolist(), strict=True):
+    for target, view, pixel in zip(
+        rays.targets, views.tolist(), pixels.floor().long().tolist(), strict=True
+    ):
         assert torch.equal(target, forward.read_image(view)[pixel[1], pixel[0]])
 
 
@@ -56,9 +60,13 @@ def test_known_depth_belongs_to_the_pixel(forward: Scene) -> None:
     # A map that says where it is: view, and row and column.
     batches = RayBatches(forward, 64, torch.device("cpu"), torch.Generator().manual_seed(0))
     assert batches.draw(Needs()).known_depth is None
-    view, row, column = torch.meshgrid(torch.arange(3.0), torch.arange(32.0), torch.arange(32.0), indexing="ij")
+    view, row, column = torch.meshgrid(
+        torch.arange(3.0), torch.arange(32.0), torch.arange(32.0), indexing="ij"
+    )
     batches.known_depth = torch.stack([100 * view + row, column], dim=-1)
-    rays = batches.draw(Needs(patch_size=4, patch_fraction=0.5, neighbors="extra", unseen_rays=0.25))
+    rays = batches.draw(
+        Needs(patch_size=4, patch_fraction=0.5, neighbors="extra", unseen_rays=0.25)
+    )
     assert rays.known_depth is not None and rays.known_depth.shape == (48, 2)
     views, pixels = pixels_of(forward, rays)
     position = torch.tensor([forward.train.index(int(view)) for view in views])
@@ -70,7 +78,9 @@ def test_alpha_is_put_on_the_background_of_the_ray(orbit: Scene) -> None:
     rays = draw(orbit, Needs())
     assert rays.background is not None
     views, pixels = pixels_of(orbit, rays)
-    for i, (view, pixel) in enumerate(zip(views.tolist(), pixels.floor().long().tolist(), strict=True)):
+    for i, (view, pixel) in enumerate(
+        zip(views.tolist(), pixels.floor().long().tolist(), strict=True)
+    ):
         value = orbit.read_image(view)[pixel[1], pixel[0]]
         expected = value[:3] * value[3] + rays.background[i] * (1 - value[3])
         torch.testing.assert_close(rays.targets[i], expected)
@@ -102,7 +112,9 @@ def test_neighbours_are_adjacent_and_share_their_group(orbit: Scene, needs: Need
     assert rays.neighbors is not None and rays.groups is not None
     _, pixels = pixels_of(orbit, rays)
     first, second = rays.neighbors.unbind(dim=1)
-    torch.testing.assert_close((pixels[first] - pixels[second]).norm(dim=-1), torch.ones(len(first)), atol=1e-2, rtol=0)
+    torch.testing.assert_close(
+        (pixels[first] - pixels[second]).norm(dim=-1), torch.ones(len(first)), atol=1e-2, rtol=0
+    )
     assert torch.equal(rays.groups[first], rays.groups[second])
     # groups are numbered without gaps, and a patch is one group
     assert torch.equal(rays.groups.unique(), torch.arange(int(rays.groups.max()) + 1))
@@ -143,7 +155,9 @@ def test_unseen_rays_start_between_the_cameras(layout: str, request: pytest.Fixt
         distance = (start - center).norm(dim=-1)
         assert (distance > radii.min() - 1e-3).all() and (distance < radii.max() + 1e-3).all()
     else:
-        assert (start >= positions.amin(dim=0) - 1e-4).all() and (start <= positions.amax(dim=0) + 1e-4).all()
+        assert (start >= positions.amin(dim=0) - 1e-4).all() and (
+            start <= positions.amax(dim=0) + 1e-4
+        ).all()
 
 
 def test_the_same_seed_draws_the_same_batch(orbit: Scene) -> None:
@@ -164,7 +178,9 @@ def test_patches_larger_than_the_images_are_refused(orbit: Scene) -> None:
 
 
 @pytest.mark.parametrize("layout", ["orbit", "forward"])
-def test_unseen_patches_are_squares_of_one_unseen_camera_each(layout: str, request: pytest.FixtureRequest) -> None:
+def test_unseen_patches_are_squares_of_one_unseen_camera_each(
+    layout: str, request: pytest.FixtureRequest
+) -> None:
     scene = request.getfixturevalue(layout)
     rays = draw(scene, Needs(patch_size=4, unseen_patches=0.5, unseen_rays=0.25))
     assert rays.unseen is not None and rays.unseen_patches is not None

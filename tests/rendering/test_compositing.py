@@ -49,7 +49,9 @@ def test_against_mpmath(dtype: torch.dtype, tolerance: float, scale: float) -> N
             for a, b in zip(edges[0, :-1].tolist(), edges[0, 1:].tolist(), strict=True)
         ]
         opacity = -mpmath.expm1(-sums[48])
-        depth = mpmath.fsum(w * m for w, m in zip(weights, middle, strict=True)) / mpmath.fsum(weights)
+        depth = mpmath.fsum(w * m for w, m in zip(weights, middle, strict=True)) / mpmath.fsum(
+            weights
+        )
     tiny = torch.finfo(dtype).tiny
     for value, exact in zip(result.weights[0].tolist(), weights, strict=True):
         assert value == pytest.approx(float(exact), rel=tolerance, abs=tiny)
@@ -68,7 +70,9 @@ def test_a_wall_anywhere_gives_finite_values_and_gradients(speed: float, place: 
     assert result.rgb is not None
     (result.rgb.sum() + result.depth.sum() + result.opacity.sum()).backward()
     assert result.opacity.item() == pytest.approx(-math.expm1(-speed), rel=1e-6)
-    assert result.depth.item() == pytest.approx(place + 1.5 if result.opacity.item() >= 1e-4 else 9.0)
+    assert result.depth.item() == pytest.approx(
+        place + 1.5 if result.opacity.item() >= 1e-4 else 9.0
+    )
     assert sigma.grad is not None and torch.isfinite(sigma.grad).all()
     assert (result.weights >= 0).all() and (result.weights.sum() <= 1 + 1e-6)
 

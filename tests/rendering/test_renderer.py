@@ -24,27 +24,42 @@ BOX = torch.tensor([[-1.0, -1.0, -1.0], [1.0, 1.0, 1.0]])
 def field() -> RadianceField:
     torch.manual_seed(0)
     config = FieldConfig(levels=4, base=4, finest=16, log2_entries=10, hidden=16, geometry=7)
-    field = RadianceField(config, BOX, lambda network, index, i, o, activation: Linear(i, o, activation))
+    field = RadianceField(
+        config, BOX, lambda network, index, i, o, activation: Linear(i, o, activation)
+    )
     torch.nn.init.uniform_(field.grid.table, -3, 3)
     return field
 
 
 def some_rays(count: int = 6, groups: Tensor | None = None) -> Rays:
     origins = torch.tensor([[0.0, 0.0, 3.0]]) + 0.1 * torch.randn(count, 3)
-    directions = torch.nn.functional.normalize(torch.tensor([0.0, 0.0, -1.0]) + 0.1 * torch.randn(count, 3), dim=-1)
+    directions = torch.nn.functional.normalize(
+        torch.tensor([0.0, 0.0, -1.0]) + 0.1 * torch.randn(count, 3), dim=-1
+    )
     near, far = torch.full((count,), 2.0), torch.full((count,), 4.0)
-    return Rays(origins, directions, near, far, torch.rand(count, 3), torch.rand(count, 3), groups=groups)
+    return Rays(
+        origins, directions, near, far, torch.rand(count, 3), torch.rand(count, 3), groups=groups
+    )
 
 
 def a_step(seed: int = 0) -> Step:
-    return Step(0, 10, 0.0, torch.Generator().manual_seed(seed), (2.0, 4.0), *[lambda rendering: rendering] * 2)
+    return Step(
+        0,
+        10,
+        0.0,
+        torch.Generator().manual_seed(seed),
+        (2.0, 4.0),
+        *[lambda rendering: rendering] * 2,
+    )
 
 
 def test_a_rendering_is_the_composite_of_the_field_at_its_samples(field: RadianceField) -> None:
     rays = some_rays()
     rendering = Renderer(field, SamplerConfig(8, 16), Hooks()).render(rays, a_step())
     assert rendering.t.shape == (6, 24) and (rendering.t.diff(dim=1) >= 0).all()
-    assert ((rendering.t_edges[:, :-1] <= rendering.t) & (rendering.t <= rendering.t_edges[:, 1:])).all()
+    assert (
+        (rendering.t_edges[:, :-1] <= rendering.t) & (rendering.t <= rendering.t_edges[:, 1:])
+    ).all()
     points = rays.origins[:, None] + rays.directions[:, None] * rendering.t[..., None]
     raw = field.raw_density(points.view(-1, 3))
     harmonics = spherical_harmonics(rays.directions).repeat_interleave(24, dim=0)
@@ -64,7 +79,9 @@ def test_gradients_are_those_of_the_plain_composite(field: RadianceField) -> Non
     field.zero_grad()
     points = rays.origins[:, None] + rays.directions[:, None] * rendering.t[..., None]
     raw = field.raw_density(points.view(-1, 3))
-    color = field.color(raw, spherical_harmonics(rays.directions).repeat_interleave(24, dim=0)).view(6, 24, 3)
+    color = field.color(
+        raw, spherical_harmonics(rays.directions).repeat_interleave(24, dim=0)
+    ).view(6, 24, 3)
     color = color * rendering.colored[..., None]
     plain = composite(field.density(raw).view(6, 24), color, rendering.t_edges, rays.background)
     assert plain.rgb is not None
@@ -83,7 +100,9 @@ def test_rays_of_a_group_share_their_t(field: RadianceField) -> None:
     for group in range(3):
         members = rendering.t_edges[groups == group]
         assert torch.equal(members, members[:1].expand_as(members))
-    assert rendering.t_edges[1, 0] == 1.5 and rendering.t_edges[1, -1] == 4.5  # nearest and farthest of the group
+    assert (
+        rendering.t_edges[1, 0] == 1.5 and rendering.t_edges[1, -1] == 4.5
+    )  # nearest and farthest of the group
     assert not torch.equal(rendering.t[0], rendering.t[3])
 
 
@@ -125,5 +144,7 @@ def test_rays_that_miss_the_box_are_their_background(field: RadianceField) -> No
 def test_log_weights_are_the_logarithm_of_the_weights(field: RadianceField) -> None:
     rendering = Renderer(field, SamplerConfig(8, 16), Hooks()).render(some_rays(), a_step())
     torch.testing.assert_close(rendering.log_weights.exp(), rendering.weights, rtol=1e-4, atol=1e-9)
-    torch.testing.assert_close(rendering.alphas, 1 - torch.exp(-rendering.tau), rtol=1e-3, atol=1e-6)
+    torch.testing.assert_close(
+        rendering.alphas, 1 - torch.exp(-rendering.tau), rtol=1e-3, atol=1e-6
+    )
     assert math.isfinite(rendering.opacity.sum().item())

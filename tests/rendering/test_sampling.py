@@ -54,7 +54,9 @@ def test_importance_of_nothing_is_even() -> None:
     torch.testing.assert_close(t, torch.tensor([[0.125, 0.375, 0.625, 0.875]]))
 
 
-@pytest.mark.parametrize("weights", [[1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0], [1e30, 1e-30, 0.0, 1e30]])
+@pytest.mark.parametrize(
+    "weights", [[1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0], [1e30, 1e-30, 0.0, 1e30]]
+)
 def test_importance_of_walls_stays_ascending_and_inside(weights: list[float]) -> None:
     generator = torch.Generator().manual_seed(0)
     edges = torch.tensor([[2.0, 2.0, 3.0, 3.0 + 1e-6, 10.0]])
@@ -72,7 +74,9 @@ def test_equal_shares_run_from_end_to_end() -> None:
     # Weights 1, 3, 0 in [0,1], [1,2], [2,4]: quarters end at 1, 4/3, 5/3 and, all weight being spent, 4.
     edges, weights = torch.tensor([[0.0, 1.0, 2.0, 4.0]]), torch.tensor([[1.0, 3.0, 0.0]])
     cuts, begins = equal_shares(edges, weights, 4)
-    torch.testing.assert_close(cuts, torch.tensor([[0.0, 1.0, 4 / 3, 5 / 3, 4.0]]), rtol=0, atol=1e-4)
+    torch.testing.assert_close(
+        cuts, torch.tensor([[0.0, 1.0, 4 / 3, 5 / 3, 4.0]]), rtol=0, atol=1e-4
+    )
     # the first cut after 1 lies behind it only by what the floor adds
     assert begins[0].tolist() in ([0, 1, 1, 1], [0, 0, 1, 1])
 

@@ -17,7 +17,9 @@ class Ball(RadianceField):
     """A field whose density is that of a ball of radius 0.5 around (0.3, 0, 0), opaque red."""
 
     def __init__(self, box: torch.Tensor) -> None:
-        super().__init__(FieldConfig(levels=1, base=2, finest=2, log2_entries=6, hidden=4), box, make_layer)
+        super().__init__(
+            FieldConfig(levels=1, base=2, finest=2, log2_entries=6, hidden=4), box, make_layer
+        )
         self.evaluated = 0
 
     def raw_density(self, positions: torch.Tensor, active: float | None = None) -> torch.Tensor:
@@ -27,7 +29,9 @@ class Ball(RadianceField):
         raw[:, 0] = torch.where(inside, 8.0, -20.0)
         return raw
 
-    def color(self, raw: torch.Tensor, harmonics: torch.Tensor, active: float | None = None) -> torch.Tensor:
+    def color(
+        self, raw: torch.Tensor, harmonics: torch.Tensor, active: float | None = None
+    ) -> torch.Tensor:
         return torch.tensor([1.0, 0.0, 0.0]).expand(len(raw), 3)
 
 
@@ -67,7 +71,9 @@ def test_skipping_empty_space_changes_no_pixel_and_saves_work() -> None:
 
 def test_the_ball_is_seen_where_the_camera_projects_it() -> None:
     there = scene()
-    view = ViewRenderer(Ball(there.box), SamplerConfig(64, 128), there).view(there.cameras, there.test[0])
+    view = ViewRenderer(Ball(there.box), SamplerConfig(64, 128), there).view(
+        there.cameras, there.test[0]
+    )
     red = (view.rgb - torch.tensor([1.0, 0.0, 0.0])).abs().sum(dim=-1) < 0.1
     y, x = red.nonzero(as_tuple=True)
     center = torch.stack([x.float().mean(), y.float().mean()]) + 0.5
@@ -137,7 +143,9 @@ def test_past_the_rim_of_something_the_rest_is_seen() -> None:
     there = scene()
     field = BallBeforeWall(there.box, there.cameras.poses[there.test[0], :, 3])
     views = [
-        ViewRenderer(field, SamplerConfig(view_block=block), there).view(there.cameras, there.test[0])
+        ViewRenderer(field, SamplerConfig(view_block=block), there).view(
+            there.cameras, there.test[0]
+        )
         for block in (1, 4)
     ]
     holes = (views[0].opacity > 0.9) & (views[1].opacity < 0.5)

@@ -42,7 +42,9 @@ def write_run(tmp_path: Path) -> Callable[..., Path]:
             **(config or {}),
         }
         (folder / ".hydra" / "config.yaml").write_text(yaml.safe_dump(whole))
-        (folder / ".hydra" / "overrides.yaml").write_text(yaml.safe_dump([*overrides, f"seed={seed}"]))
+        (folder / ".hydra" / "overrides.yaml").write_text(
+            yaml.safe_dump([*overrides, f"seed={seed}"])
+        )
         lines: list[dict[str, Any]] = []
         for index, (seconds, psnr) in enumerate(evaluations):
             last = complete and index == len(evaluations) - 1
@@ -61,7 +63,9 @@ def write_run(tmp_path: Path) -> Callable[..., Path]:
                 }
             )
         if lines:
-            (folder / "metrics.jsonl").write_text("".join(json.dumps(line) + "\n" for line in lines))
+            (folder / "metrics.jsonl").write_text(
+                "".join(json.dumps(line) + "\n" for line in lines)
+            )
         if complete:
             held_out = whole["scene"]["held_out"]
             about = {

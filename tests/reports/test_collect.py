@@ -25,7 +25,12 @@ def test_a_complete_run(write_run: Callable[..., Path]) -> None:
     final = Evaluation(1000, 100.0, 20.0, 0.5, 0.25, 0.125, None, views=3, whole=True)
     assert run.evaluations == (way, final) and run.final == final
     assert (run.method, run.scene, run.views, run.seed) == ("kl, sampler=importance", "fern", 3, 0)
-    assert (run.held_out, run.threads, run.points_per_second, run.peak_memory_mb) == (False, 1, 2e6, 500.0)
+    assert (run.held_out, run.threads, run.points_per_second, run.peak_memory_mb) == (
+        False,
+        1,
+        2e6,
+        500.0,
+    )
     assert run.settings["train.seconds"] == 100.0 and run.settings["reg.kl.weight"] == 1e-5
     assert run.command == ("+reg=kl", "sampler=importance", "seed=0")
     assert run.failure is None and run.versions == {"nerfreg": "0.5", "torch": "2.6"}
@@ -46,7 +51,10 @@ def test_a_torn_line_does_not_undo_a_complete_run(write_run: Callable[..., Path]
     folder = write_run("a")
     (folder / "metrics.jsonl").write_text((folder / "metrics.jsonl").read_text()[:-9])
     (run,) = collect([folder])
-    assert run.final is not None and [evaluation.step for evaluation in run.evaluations] == [100, 1000]
+    assert run.final is not None and [evaluation.step for evaluation in run.evaluations] == [
+        100,
+        1000,
+    ]
 
 
 def test_results_alone_are_a_run(write_run: Callable[..., Path]) -> None:
@@ -65,20 +73,26 @@ def test_nothing_but_a_configuration(write_run: Callable[..., Path]) -> None:
 def test_a_repetition_in_the_same_folder_is_not_complete(write_run: Callable[..., Path]) -> None:
     folder = write_run("a")
     first = (folder / "metrics.jsonl").read_text().splitlines()[0]
-    (folder / "metrics.jsonl").write_text(first + "\n")  # the second run is at step 100, results.json is the first's
+    (folder / "metrics.jsonl").write_text(
+        first + "\n"
+    )  # the second run is at step 100, results.json is the first's
     (run,) = collect([folder])
     assert run.final is None and [evaluation.step for evaluation in run.evaluations] == [100]
 
 
 def test_nulls_are_none(write_run: Callable[..., Path]) -> None:
-    (run,) = collect([write_run("a", evaluations=((1.0, None), (2.0, 9.0)), lpips=None, peak_memory_mb=None)])
+    (run,) = collect(
+        [write_run("a", evaluations=((1.0, None), (2.0, 9.0)), lpips=None, peak_memory_mb=None)]
+    )
     assert run.evaluations[0].psnr is None and run.peak_memory_mb is None
     assert run.final is not None and run.final.lpips is None
 
 
 def test_garbage_is_left_out(write_run: Callable[..., Path]) -> None:
     folder = write_run("a", complete=False)
-    (folder / "metrics.jsonl").write_bytes(b"\xff\xfe\n[1]\n3\nnull\n{}\n" + (folder / "metrics.jsonl").read_bytes())
+    (folder / "metrics.jsonl").write_bytes(
+        b"\xff\xfe\n[1]\n3\nnull\n{}\n" + (folder / "metrics.jsonl").read_bytes()
+    )
     (folder / "results.json").write_text("{")
     (folder / ".hydra" / "overrides.yaml").write_text("")
     (run,) = collect([folder])
@@ -113,7 +127,9 @@ def test_a_failed_run_tells_why_and_is_not_complete(write_run: Callable[..., Pat
     assert run.failure == f"see {folder / 'failed.json'}"
 
 
-def test_searching_finds_each_run_once_in_the_order_of_jobs(write_run: Callable[..., Path], tmp_path: Path) -> None:
+def test_searching_finds_each_run_once_in_the_order_of_jobs(
+    write_run: Callable[..., Path], tmp_path: Path
+) -> None:
     for name in ("sweep/10_c", "sweep/2_b", "sweep/1_a", "single"):
         write_run(name)
     (tmp_path / "sweep" / "1_a" / "renders" / ".hydra").mkdir(parents=True)
@@ -145,7 +161,9 @@ def test_no_run_and_no_folder(tmp_path: Path) -> None:
         ({"path": "data/mine/", "format": "transforms"}, "mine"),
     ],
 )
-def test_the_name_of_a_scene_before_there_are_results(write_run: Callable[..., Path], scene, name) -> None:
+def test_the_name_of_a_scene_before_there_are_results(
+    write_run: Callable[..., Path], scene, name
+) -> None:
     (run,) = collect([write_run("a", scene=scene, complete=False)])
     assert run.scene == name
 

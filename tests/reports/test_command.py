@@ -11,22 +11,38 @@ from nerfreg.cli import main
 from nerfreg.cli.report import ReportOptions, parse_report_options
 from nerfreg.errors import NerfregError
 
-PAPER = "dataset,views,scene,method,psnr,ssim,lpips,average\nllff,3,fern,vanilla,17.79,0.509,0.402,\n"
+PAPER = (
+    "dataset,views,scene,method,psnr,ssim,lpips,average\nllff,3,fern,vanilla,17.79,0.509,0.402,\n"
+)
 
 
 def test_a_report(
-    write_run: Callable[..., Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    write_run: Callable[..., Path],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     monkeypatch.chdir(tmp_path)
     for seed, psnr in enumerate((20.0, 22.0)):
         write_run(f"runs/{seed}", seed=seed, evaluations=((10.0, 15.0), (100.0, psnr)))
     write_run(
-        "runs/kl", ["+reg=kl"], config={"reg": {"kl": {"weight": 1.0}}}, evaluations=((10.0, 15.0), (100.0, 23.0))
+        "runs/kl",
+        ["+reg=kl"],
+        config={"reg": {"kl": {"weight": 1.0}}},
+        evaluations=((10.0, 15.0), (100.0, 23.0)),
     )
     Path("paper.csv").write_text(PAPER)
     assert main(["report", "runs", "-o", "out", "--paper", "paper.csv"]) == 0
     printed = capsys.readouterr().out
-    for text in ("fern, 3 views", "21.00 ± 1.41", "vanilla (paper)", "17.79", "to", "out/tables.md", "out/runs.csv"):
+    for text in (
+        "fern, 3 views",
+        "21.00 ± 1.41",
+        "vanilla (paper)",
+        "17.79",
+        "to",
+        "out/tables.md",
+        "out/runs.csv",
+    ):
         assert text in printed, text
     assert "| kl | **23.00** |" in Path("out/tables.md").read_text()
     assert Path("out/report.html").is_file()
@@ -45,7 +61,10 @@ def test_a_second_report_into_the_same_folder_shows_the_runs_of_now(
 
 
 def test_views_that_no_run_has_leave_no_half_of_a_report(
-    write_run: Callable[..., Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    write_run: Callable[..., Path],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     monkeypatch.chdir(tmp_path)
     write_run("runs/0", evaluations=((10.0, 15.0),))
@@ -82,7 +101,9 @@ def test_options(words: list[str], options: ReportOptions) -> None:
         (["a", "-o", "file"], "-o file: is a file"),
     ],
 )
-def test_words_that_cannot_be(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, words: list[str], message: str) -> None:
+def test_words_that_cannot_be(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, words: list[str], message: str
+) -> None:
     monkeypatch.chdir(tmp_path)
     Path("file").write_text("")
     with pytest.raises(NerfregError) as error:

@@ -52,7 +52,9 @@ def test_a_mean_of_fewer_runs_says_so(write_run: Callable[..., Path], tmp_path: 
     assert "LPIPS of vanilla: from 1 of 2 runs." in table.notes
 
 
-def test_published_rows_stand_below_and_say_which_psnr_is_timed(write_run: Callable[..., Path], tmp_path: Path) -> None:
+def test_published_rows_stand_below_and_say_which_psnr_is_timed(
+    write_run: Callable[..., Path], tmp_path: Path
+) -> None:
     # from 12.79 to 22.79: 17.79 is halfway, at sqrt(1 * 100) seconds
     write_run("a", evaluations=((1.0, 12.79), (100.0, 22.79)))
     (table,) = comparisons(collect([tmp_path]), PAPER)
@@ -85,7 +87,9 @@ def test_held_out_views_have_a_table_of_their_own_without_published_rows(
 @pytest.mark.parametrize(
     ("psnr", "shown"), [(15.0, "≤ 10.0 ± 0.0"), (25.0, "reached by 1 of 2"), (31.0, "not reached")]
 )
-def test_seconds_to_a_psnr_in_words(write_run: Callable[..., Path], tmp_path: Path, psnr: float, shown: str) -> None:
+def test_seconds_to_a_psnr_in_words(
+    write_run: Callable[..., Path], tmp_path: Path, psnr: float, shown: str
+) -> None:
     write_run("a", evaluations=((10.0, 15.0), (100.0, 20.0)))
     write_run("b", seed=1, evaluations=((10.0, 15.0), (100.0, 30.0)))
     (table,) = comparisons(collect([tmp_path]), psnr=psnr)
@@ -120,11 +124,14 @@ def test_over_scenes(write_run: Callable[..., Path], tmp_path: Path) -> None:
 
 def test_over_scenes_beside_published_means(write_run: Callable[..., Path], tmp_path: Path) -> None:
     paper = [
-        PaperRow("llff", 3, scene, "vanilla", psnr, 0.5, 0.5, 0.5) for scene, psnr in (("fern", 15.0), ("room", 20.0))
+        PaperRow("llff", 3, scene, "vanilla", psnr, 0.5, 0.5, 0.5)
+        for scene, psnr in (("fern", 15.0), ("room", 20.0))
     ]
     paper = [*paper, PaperRow("llff", 3, "mean", "kl", 18.0, None, None, None)]
     write_run("f", evaluations=((1.0, 10.0), (100.0, 20.0)))  # 15 dB after 10 s
-    write_run("r", scene={"path": "data/room"}, evaluations=((1.0, 10.0), (100.0, 20.0)))  # 20 dB after 100 s
+    write_run(
+        "r", scene={"path": "data/room"}, evaluations=((1.0, 10.0), (100.0, 20.0))
+    )  # 20 dB after 100 s
     over = comparisons(collect([tmp_path]), paper)[-1]
     assert [row.label for row in over.rows] == ["vanilla", "kl (paper)"]
     assert cell(over, "vanilla", "seconds_to_psnr").value == pytest.approx(55.0)
@@ -141,7 +148,9 @@ def test_over_scenes_of_all_kinds(write_run: Callable[..., Path], tmp_path: Path
 def test_runs_that_do_not_count_are_told(write_run: Callable[..., Path], tmp_path: Path) -> None:
     write_run("a")
     write_run("b", seed=1, evaluations=((12.0, 9.0),), complete=False)
-    (write_run("c", ["+reg=kl"], config=KL) / "failed.json").write_text('{"error": "out of memory"}')
+    (write_run("c", ["+reg=kl"], config=KL) / "failed.json").write_text(
+        '{"error": "out of memory"}'
+    )
     write_run("d")
     records, notes = without_repetitions(collect([tmp_path]))
     (table,) = comparisons(records, notes=notes)
@@ -172,12 +181,20 @@ def test_one_method_has_no_cost_to_compare(write_run: Callable[..., Path], tmp_p
 
 
 def marks(column: Column, *values: float | None) -> str:
-    rows = marked((column,), [Row(str(index), (Cell(value),)) for index, value in enumerate(values)])
-    return "".join("b" if row.cells[0].best else "s" if row.cells[0].second else "-" for row in rows)
+    rows = marked(
+        (column,), [Row(str(index), (Cell(value),)) for index, value in enumerate(values)]
+    )
+    return "".join(
+        "b" if row.cells[0].best else "s" if row.cells[0].second else "-" for row in rows
+    )
 
 
 def test_marks() -> None:
-    up, down, neither = Column("", "", ".1f", "up"), Column("", "", ".1f", "down"), Column("", "", ".1f")
+    up, down, neither = (
+        Column("", "", ".1f", "up"),
+        Column("", "", ".1f", "down"),
+        Column("", "", ".1f"),
+    )
     assert marks(up, 1.0, 3.0, 2.0) == "-bs"
     assert marks(down, 1.0, 3.0, 2.0) == "b-s"
     assert marks(up, 3.04, 2.96, 2.0, None) == "bbs-"  # alike in print

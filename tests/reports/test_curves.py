@@ -7,7 +7,15 @@ from pathlib import Path
 
 import pytest
 
-from nerfreg.reports.curves import Point, Series, band, draw_curves, final_point, legend_columns, series
+from nerfreg.reports.curves import (
+    Point,
+    Series,
+    band,
+    draw_curves,
+    final_point,
+    legend_columns,
+    series,
+)
 from nerfreg.reports.paper import PaperRow
 from nerfreg.reports.records import Evaluation, RunRecord
 from nerfreg.reports.style import method_styles
@@ -16,10 +24,14 @@ Score = float | None
 
 
 def score(seconds: float, psnr: Score, whole: bool = False, average: Score = None) -> Evaluation:
-    return Evaluation(int(10 * seconds), seconds, psnr, None, None, average, None, 3 if whole else 2, whole)
+    return Evaluation(
+        int(10 * seconds), seconds, psnr, None, None, average, None, 3 if whole else 2, whole
+    )
 
 
-def run(*evaluations: Evaluation, complete: bool = True, method: str = "vanilla", seed: int = 0) -> RunRecord:
+def run(
+    *evaluations: Evaluation, complete: bool = True, method: str = "vanilla", seed: int = 0
+) -> RunRecord:
     final = evaluations[-1] if complete else None
     folder = Path(f"{method}-{seed}")
     return RunRecord(folder, method, "fern", 3, seed, False, evaluations, final, None, None, {}, ())
@@ -36,7 +48,9 @@ def test_where_all_evaluations_are_of_all_views_the_curve_ends_at_the_final_one(
 
 
 def test_what_is_unknown_not_finite_or_before_training_is_no_point_of_a_curve() -> None:
-    scored = run(score(0.0, 5.0), score(1.0, None), score(2.0, math.nan), score(3.0, 12.0), complete=False)
+    scored = run(
+        score(0.0, 5.0), score(1.0, None), score(2.0, math.nan), score(3.0, 12.0), complete=False
+    )
     assert series(scored, "psnr") == Series((3.0,), (12.0,))
     assert series(scored, "average") == Series((), ())
 
@@ -55,7 +69,9 @@ def test_seeds_meet_at_common_times_and_in_between_values_are_linear_in_log_time
 
 def test_a_band_has_the_times_of_all_seeds() -> None:
     # 100 s is in the middle of 10 s and 1000 s in log time: seed 0 has (0 + 4) / 2 = 2 there, seed 1 has 6.
-    found = band([Series((10.0, 1000.0), (0.0, 4.0)), Series((10.0, 100.0, 1000.0), (0.0, 6.0, 4.0))])
+    found = band(
+        [Series((10.0, 1000.0), (0.0, 4.0)), Series((10.0, 100.0, 1000.0), (0.0, 6.0, 4.0))]
+    )
     assert found is not None
     assert found.seconds.tolist() == [10.0, 100.0, 1000.0]
     assert found.mean.tolist() == pytest.approx([0.0, 4.0, 4.0])
@@ -73,7 +89,10 @@ def test_one_seed_is_its_own_mean_and_has_no_width() -> None:
         [],
         [Series((), ())],
         [Series((1.0,), (2.0,))],
-        [Series((1.0, 2.0), (1.0, 2.0)), Series((3.0, 4.0), (1.0, 2.0))],  # over before the other begins
+        [
+            Series((1.0, 2.0), (1.0, 2.0)),
+            Series((3.0, 4.0), (1.0, 2.0)),
+        ],  # over before the other begins
         [Series((1.0, 2.0), (1.0, 2.0)), Series((2.0, 4.0), (1.0, 2.0))],  # meet in one point
     ],
 )
@@ -101,14 +120,22 @@ def test_a_figure_shows_complete_runs_and_those_being_written(tmp_path: Path) ->
     png, svg = draw_curves(runs, method_styles(runs), "fern, 3 views", tmp_path / "curves-fern-3")
     assert png.read_bytes().startswith(b"\x89PNG") and svg.name == "curves-fern-3.svg"
     text = svg.read_text()
-    assert "kl (not complete)" in text and ">vanilla<" in text and "PSNR [dB]" in text and ">10 s<" in text
+    assert (
+        "kl (not complete)" in text
+        and ">vanilla<" in text
+        and "PSNR [dB]" in text
+        and ">10 s<" in text
+    )
     # dots are written as a dash pattern: kl in two panels and in the legend, and unscored there
     assert text.count("stroke-dasharray: 1") == 4
 
 
 def test_the_same_runs_give_the_same_bytes(tmp_path: Path) -> None:
     runs = [run(score(1.0, 10.0), score(10.0, 20.0), score(10.0, 25.0, whole=True))]
-    files = [draw_curves(runs, method_styles(runs), "fern", tmp_path / name)[1].read_bytes() for name in "ab"]
+    files = [
+        draw_curves(runs, method_styles(runs), "fern", tmp_path / name)[1].read_bytes()
+        for name in "ab"
+    ]
     assert files[0] == files[1]
 
 
@@ -122,7 +149,9 @@ def test_long_names_have_fewer_columns() -> None:
 def test_published_numbers_are_level_lines_with_names(tmp_path: Path) -> None:
     runs = [run(score(1.0, 10.0, average=0.3), score(10.0, 20.0, average=0.2))]
     paper = [
-        PaperRow("llff", 3, "fern", "vanilla", 17.79, 0.509, 0.402, None),  # its average is computed
+        PaperRow(
+            "llff", 3, "fern", "vanilla", 17.79, 0.509, 0.402, None
+        ),  # its average is computed
         PaperRow("llff", 3, "fern", "other", 30.0, None, None, None),
         PaperRow("llff", 3, "fern", "close", 30.1, None, None, None),
     ]
@@ -135,7 +164,11 @@ def test_published_numbers_are_level_lines_with_names(tmp_path: Path) -> None:
 
 def test_axes_reach_what_was_published_where_names_of_methods_have_set_them(tmp_path: Path) -> None:
     runs = [
-        run(score(1.0, 10.0, average=0.3), score(10.0, 20.0, average=0.2 + 0.001 * k), method=f"method_{k}")
+        run(
+            score(1.0, 10.0, average=0.3),
+            score(10.0, 20.0, average=0.2 + 0.001 * k),
+            method=f"method_{k}",
+        )
         for k in range(30)
     ]
     styles = method_styles(runs)
@@ -148,4 +181,9 @@ def test_axes_reach_what_was_published_where_names_of_methods_have_set_them(tmp_
 def test_without_runs_that_are_scored_nothing_published_is_drawn(tmp_path: Path) -> None:
     runs = [run(complete=False)]
     paper = [PaperRow("llff", 3, "fern", "vanilla", 17.79, 0.509, 0.402, None)]
-    assert "(paper)" not in draw_curves(runs, method_styles(runs), "fern", tmp_path / "curves", paper)[1].read_text()
+    assert (
+        "(paper)"
+        not in draw_curves(runs, method_styles(runs), "fern", tmp_path / "curves", paper)[
+            1
+        ].read_text()
+    )

@@ -18,7 +18,20 @@ def run(method: str, scene: str = "fern", complete: bool = True, scored: bool = 
     final = Evaluation(1000, 100.0, 18.0, None, None, 0.1, None, 3, True) if complete else None
     evaluations = (early, *([final] if final else [])) if scored else ()
     settings = {} if method == "vanilla" else {f"reg.{method}.weight": 1.0}
-    return RunRecord(Path(scene, method), method, scene, 3, 0, False, evaluations, final, None, None, settings, ())
+    return RunRecord(
+        Path(scene, method),
+        method,
+        scene,
+        3,
+        0,
+        False,
+        evaluations,
+        final,
+        None,
+        None,
+        settings,
+        (),
+    )
 
 
 @pytest.mark.parametrize(
@@ -28,7 +41,10 @@ def run(method: str, scene: str = "fern", complete: bool = True, scored: bool = 
         ([run("vanilla")], ["curves-fern-3"]),
         ([run("vanilla"), run("kl")], ["curves-fern-3", "pareto-fern-3", "cost-fern-3"]),
         ([run("vanilla"), run("kl", complete=False)], ["curves-fern-3"]),  # one point is no front
-        ([run("kl"), run("entropy")], ["curves-fern-3", "pareto-fern-3"]),  # nothing to compare costs with
+        (
+            [run("kl"), run("entropy")],
+            ["curves-fern-3", "pareto-fern-3"],
+        ),  # nothing to compare costs with
         ([run("vanilla", complete=False, scored=False)], []),
         ([run("vanilla"), run("kl", "chair")], ["curves-chair-3", "curves-fern-3"]),
     ],
@@ -40,7 +56,9 @@ def test_figures_are_of_what_there_is(runs: list[RunRecord], names: list[str]) -
 def test_a_figure_is_a_png_and_an_svg(tmp_path: Path) -> None:
     files = draw(plots([run("vanilla"), run("kl")]), tmp_path)
     stems = ("curves-fern-3", "pareto-fern-3", "cost-fern-3")
-    assert [path.name for path in files] == [f"{stem}{suffix}" for stem in stems for suffix in (".png", ".svg")]
+    assert [path.name for path in files] == [
+        f"{stem}{suffix}" for stem in stems for suffix in (".png", ".svg")
+    ]
     assert all(path.is_file() for path in files)
 
 
@@ -48,7 +66,10 @@ def test_many_methods_with_long_names_still_fit(tmp_path: Path) -> None:
     # matplotlib warns, and warnings are errors here, where names leave no room for the axes
     runs = [
         run("vanilla"),
-        *(run(f"kl, a.very.long.key.of.a.setting={index}, and.another.one=true") for index in range(24)),
+        *(
+            run(f"kl, a.very.long.key.of.a.setting={index}, and.another.one=true")
+            for index in range(24)
+        ),
     ]
     assert len(draw(plots(runs), tmp_path)) == 6
 

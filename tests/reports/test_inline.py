@@ -61,7 +61,9 @@ def test_what_does_not_fit_is_encoded_smaller_and_all_alike() -> None:
     whole = sum(map(len, data_uris(images, 1_000_000)))
     encoded = data_uris(images, whole - 1)
     assert sum(map(len, encoded)) < whole
-    assert all(uri.startswith("data:image/jpeg") for uri in encoded), "also the one that would have been small"
+    assert all(uri.startswith("data:image/jpeg") for uri in encoded), (
+        "also the one that would have been small"
+    )
 
 
 def test_what_never_fits_is_as_small_as_it_gets() -> None:

@@ -51,7 +51,9 @@ def methods(folder: Path) -> list[str]:
     return [run.method for run in collect([folder])]
 
 
-def test_what_all_runs_of_a_scene_share_is_not_named(write_run: Callable[..., Path], tmp_path: Path) -> None:
+def test_what_all_runs_of_a_scene_share_is_not_named(
+    write_run: Callable[..., Path], tmp_path: Path
+) -> None:
     paper = ["+experiment=paper_llff", "train.rays=512"]
     write_run("a", paper)
     write_run("b", [*paper, "+reg=kl"], config={"reg": {"kl": {"weight": 1.0}}})
@@ -72,14 +74,18 @@ def train(**keys: Any) -> dict[str, Any]:
     return {"train": {"steps": None, "seconds": 100.0, "threads": 1, **keys}}
 
 
-def test_budgets_are_named_where_they_differ(write_run: Callable[..., Path], tmp_path: Path) -> None:
+def test_budgets_are_named_where_they_differ(
+    write_run: Callable[..., Path], tmp_path: Path
+) -> None:
     write_run("a")
     write_run("b", ["train.seconds=600"], config=train(seconds=600.0))
     write_run("c", ["train.steps=1500"], config=train(steps=1500))
     assert methods(tmp_path) == ["vanilla, 100 s", "vanilla, 600 s", "vanilla, 1500 steps or 100 s"]
 
 
-def test_scenes_may_have_budgets_of_their_own(write_run: Callable[..., Path], tmp_path: Path) -> None:
+def test_scenes_may_have_budgets_of_their_own(
+    write_run: Callable[..., Path], tmp_path: Path
+) -> None:
     write_run("a")
     write_run("b", config=train(seconds=600.0), scene={"path": "data/room"})
     assert methods(tmp_path) == ["vanilla", "vanilla"]
@@ -89,15 +95,23 @@ def kl(weight: object) -> dict[str, Any]:
     return {"reg": {"kl": {"weight": weight, "density": "weights"}}}
 
 
-def test_one_name_for_two_configurations_is_made_two(write_run: Callable[..., Path], tmp_path: Path) -> None:
+def test_one_name_for_two_configurations_is_made_two(
+    write_run: Callable[..., Path], tmp_path: Path
+) -> None:
     # the preset's file was changed between the runs
     write_run("a", ["+reg=mine"], config=kl(1e-5))
     write_run("b", ["+reg=mine"], config=kl(2e-5))
     write_run("c", ["+reg=mine"], config=kl(2e-5), seed=1)
-    assert methods(tmp_path) == ["mine (kl.weight=1e-05)", "mine (kl.weight=2e-05)", "mine (kl.weight=2e-05)"]
+    assert methods(tmp_path) == [
+        "mine (kl.weight=1e-05)",
+        "mine (kl.weight=2e-05)",
+        "mine (kl.weight=2e-05)",
+    ]
 
 
-def test_a_variant_has_the_same_name_on_all_scenes(write_run: Callable[..., Path], tmp_path: Path) -> None:
+def test_a_variant_has_the_same_name_on_all_scenes(
+    write_run: Callable[..., Path], tmp_path: Path
+) -> None:
     write_run("a", ["+reg=mine"], config=kl(1e-5))
     write_run("b", ["+reg=mine"], config=kl(2e-5))
     write_run("c", ["+reg=mine"], config=kl(2e-5), scene={"path": "data/room"})
@@ -118,7 +132,9 @@ def test_the_name_of_a_study_is_no_method(write_run: Callable[..., Path], tmp_pa
     assert methods(tmp_path) == ["kl", "vanilla", "ours", "ours"]
 
 
-def test_a_users_name_for_two_configurations_is_made_two(write_run: Callable[..., Path], tmp_path: Path) -> None:
+def test_a_users_name_for_two_configurations_is_made_two(
+    write_run: Callable[..., Path], tmp_path: Path
+) -> None:
     write_run("a", ["name=x", "+reg=mine"], config={"name": "x", **kl(1.0)})
     write_run("b", ["name=x", "+reg=mine"], config={"name": "x"})
     assert methods(tmp_path) == ["x (reg=kl)", "x (reg=vanilla)"]
@@ -127,12 +143,17 @@ def test_a_users_name_for_two_configurations_is_made_two(write_run: Callable[...
 def test_versions_and_threads_set_apart(write_run: Callable[..., Path], tmp_path: Path) -> None:
     write_run("a")
     write_run("b", versions={"nerfreg": "0.6", "torch": "2.6"})
-    assert methods(tmp_path) == ["vanilla (version of nerfreg=0.5)", "vanilla (version of nerfreg=0.6)"]
+    assert methods(tmp_path) == [
+        "vanilla (version of nerfreg=0.5)",
+        "vanilla (version of nerfreg=0.6)",
+    ]
     write_run("c", threads=2)
     assert methods(tmp_path)[2] == "vanilla (threads=2, version of nerfreg=0.5)"
 
 
-def test_what_is_not_known_sets_nothing_apart(write_run: Callable[..., Path], tmp_path: Path) -> None:
+def test_what_is_not_known_sets_nothing_apart(
+    write_run: Callable[..., Path], tmp_path: Path
+) -> None:
     # a run that is being written knows neither versions nor resolved weights; an older one lacks a key
     write_run("a", ["+reg=kl"], config=kl(1e-5))
     write_run("b", ["+reg=kl"], seed=1, config=kl("${kl_by_layout:weight}"), complete=False)
@@ -143,17 +164,30 @@ def test_what_is_not_known_sets_nothing_apart(write_run: Callable[..., Path], tm
 def test_many_differences_are_numbered(write_run: Callable[..., Path], tmp_path: Path) -> None:
     for name, value in (("a", 1), ("b", 2), ("c", 1)):
         write_run(name, config={"field": {key: value for key in "abcd"}}, seed=ord(name))
-    assert methods(tmp_path) == ["vanilla (variant 1)", "vanilla (variant 2)", "vanilla (variant 1)"]
+    assert methods(tmp_path) == [
+        "vanilla (variant 1)",
+        "vanilla (variant 2)",
+        "vanilla (variant 1)",
+    ]
 
 
-def test_scenes_that_are_not_the_same_photographs_are_two(write_run: Callable[..., Path], tmp_path: Path) -> None:
+def test_scenes_that_are_not_the_same_photographs_are_two(
+    write_run: Callable[..., Path], tmp_path: Path
+) -> None:
     write_run("a", scene={"factor": 4})
     write_run("b", scene={"factor": 8})
     write_run("c", scene={"factor": 8, "views": 6})
-    assert [run.scene for run in collect([tmp_path])] == ["fern (factor=4)", "fern (factor=8)", "fern"]
+    assert [run.scene for run in collect([tmp_path])] == [
+        "fern (factor=4)",
+        "fern (factor=8)",
+        "fern",
+    ]
 
 
 def test_folds_are_not_seeds(write_run: Callable[..., Path], tmp_path: Path) -> None:
     for fold in (0, 1):
         write_run(f"{fold}", scene={"held_out": [fold]})
-    assert [run.scene for run in collect([tmp_path])] == ["fern (held_out=[0])", "fern (held_out=[1])"]
+    assert [run.scene for run in collect([tmp_path])] == [
+        "fern (held_out=[0])",
+        "fern (held_out=[1])",
+    ]

@@ -21,7 +21,9 @@ from nerfreg.reports.pictures import compare
 from nerfreg.reports.records import Evaluation, RunRecord
 from nerfreg.reports.tables import Cell, Column, Row, Table
 
-BROWSER = next(filter(None, map(shutil.which, ("chromium", "google-chrome", "chromium-browser"))), None)
+BROWSER = next(
+    filter(None, map(shutil.which, ("chromium", "google-chrome", "chromium-browser"))), None
+)
 PSNR, LPIPS = Column("PSNR", "dB", ".2f", "up"), Column("LPIPS", "", ".3f", "down")
 TABLE = Table(
     title="fern, 3 views",
@@ -39,7 +41,9 @@ TABLE = Table(
 )
 
 
-def run(folder: Path, method: str, color: int, failure: str | None = None, seed: int = 0) -> RunRecord:
+def run(
+    folder: Path, method: str, color: int, failure: str | None = None, seed: int = 0
+) -> RunRecord:
     """A run of fern with pictures of two views, 8 x 12 pixels, or one that failed."""
     early = Evaluation(100, 10.0, 15.0, None, None, 0.3, None, 2, False)
     late = Evaluation(900, 90.0, 17.0, None, None, 0.2, None, 2, False)
@@ -56,7 +60,19 @@ def run(folder: Path, method: str, color: int, failure: str | None = None, seed:
     command = ("scene=llff", "scene.path=my data/fern", f"+reg=[{method}]", f"seed={seed}")
     settings = {} if method == "vanilla" else {f"reg.{method}.weight": 1.0}
     return RunRecord(
-        folder, method, "fern", 3, seed, False, evaluations, final, None, None, settings, command, failure=failure
+        folder,
+        method,
+        "fern",
+        3,
+        seed,
+        False,
+        evaluations,
+        final,
+        None,
+        None,
+        settings,
+        command,
+        failure=failure,
     )
 
 
@@ -66,7 +82,12 @@ def report(tmp_path_factory: pytest.TempPathFactory) -> Path:
     records = [
         run(folder / "runs" / "a", "vanilla", 100),
         run(folder / "runs" / "b", "combinerf", 120),
-        run(folder / "runs" / "c", "kl", 0, failure="step 3: <script>alert(1)</script> is not finite"),
+        run(
+            folder / "runs" / "c",
+            "kl",
+            0,
+            failure="step 3: <script>alert(1)</script> is not finite",
+        ),
     ]
     return write(records, [TABLE], folder / "out")
 
@@ -104,7 +125,10 @@ class Elements(HTMLParser):
 def test_the_page_needs_nothing_else(report: Path) -> None:
     text = report.read_text()
     links = [
-        value for _, attrs in Elements(text).tags for key in ("src", "href", "xlink:href") if (value := attrs.get(key))
+        value
+        for _, attrs in Elements(text).tags
+        for key in ("src", "href", "xlink:href")
+        if (value := attrs.get(key))
     ]
     assert links and all(link.startswith(("data:", "#")) for link in links)
     assert "@import" not in text and "url(http" not in text
@@ -126,7 +150,10 @@ def test_every_id_is_there_once_and_every_link_leads_somewhere(report: Path) -> 
 
 def test_what_comes_from_runs_is_text_and_not_markup(report: Path) -> None:
     text = report.read_text()
-    assert "<script>alert" not in text and "&lt;script&gt;alert(1)&lt;/script&gt; is not finite" in text
+    assert (
+        "<script>alert" not in text
+        and "&lt;script&gt;alert(1)&lt;/script&gt; is not finite" in text
+    )
     assert "<b>odd" not in text and "&lt;b&gt;odd&lt;/b&gt; &amp; kl" in text
 
 
@@ -146,13 +173,20 @@ def test_the_best_the_second_and_the_papers_rows_are_marked(report: Path) -> Non
     tags = Elements(report.read_text()).tags
     cells = [attrs for tag, attrs in tags if tag == "td" and "data-value" in attrs]
     marked = {attrs["data-value"]: (attrs.get("class") or "").strip() for attrs in cells}
-    assert marked["21.5"] == marked["0.2"] == "best" and marked["0.3"] == "second" and marked["18.0"] == ""
+    assert (
+        marked["21.5"] == marked["0.2"] == "best"
+        and marked["0.3"] == "second"
+        and marked["18.0"] == ""
+    )
     assert sum(tag == "tr" and attrs.get("class") == "paper" for tag, attrs in tags) == 1
 
 
 def test_commands_are_quoted_for_a_shell_and_failures_have_their_reasons(report: Path) -> None:
     text = report.read_text()
-    assert "nerfreg train scene=llff &#39;scene.path=my data/fern&#39; &#39;+reg=[combinerf]&#39; seed=0" in text
+    assert (
+        "nerfreg train scene=llff &#39;scene.path=my data/fern&#39; &#39;+reg=[combinerf]&#39; seed=0"
+        in text
+    )
     section = text[text.index('<section id="failed">') :]
     assert "kl, fern, 3 views, seed 0" in section and "is not finite" in section
 
@@ -161,8 +195,16 @@ def test_figures_and_pictures_of_every_kind_are_on_the_page(report: Path) -> Non
     tags = Elements(report.read_text()).tags
     plots = [attrs["class"] for tag, attrs in tags if tag == "figure"]
     assert plots == ["plot curves", "plot pareto", "plot cost"]
-    shown = [(attrs["data-method"], attrs["data-kind"]) for tag, attrs in tags if tag == "img" and "data-view" in attrs]
-    kinds = [(method, kind) for method in ("vanilla", "combinerf") for kind in ("colour", "error", "depth")]
+    shown = [
+        (attrs["data-method"], attrs["data-kind"])
+        for tag, attrs in tags
+        if tag == "img" and "data-view" in attrs
+    ]
+    kinds = [
+        (method, kind)
+        for method in ("vanilla", "combinerf")
+        for kind in ("colour", "error", "depth")
+    ]
     assert shown == 2 * [("photograph", "colour"), *kinds]
     sheets = sorted(path.name for path in (report.parent / "pictures").iterdir())
     assert sheets == ["fern-3-image000.png", "fern-3-image008.png"]
@@ -177,7 +219,11 @@ def test_the_same_runs_give_the_same_page(report: Path, tmp_path: Path) -> None:
 def test_without_runs_that_are_scored_there_is_still_a_page(tmp_path: Path) -> None:
     record = run(tmp_path / "a", "vanilla", 0, failure="out of memory")
     text = write([record], [], tmp_path / "out").read_text()
-    assert "out of memory" in text and '<section id="compare"' not in text and '<section id="tables">' not in text
+    assert (
+        "out of memory" in text
+        and '<section id="compare"' not in text
+        and '<section id="tables">' not in text
+    )
 
 
 # In a browser.
@@ -190,12 +236,16 @@ Browse = Callable[..., str]
 def browse(report: Path, tmp_path: Path) -> Browse:
     """The document after its scripts have run with a fragment; fails on anything in the console."""
     if BROWSER is None:
-        pytest.skip("no chromium, google-chrome or chromium-browser on PATH: the page is not tried in a browser")
+        pytest.skip(
+            "no chromium, google-chrome or chromium-browser on PATH: the page is not tried in a browser"
+        )
 
     def browse(fragment: str = "", actions: str = "") -> str:
         """actions: a script that is run after those of the page."""
         tried = tmp_path / "tried.html"
-        tried.write_text(report.read_text().replace("</body>", f"<script>{actions}</script></body>"))
+        tried.write_text(
+            report.read_text().replace("</body>", f"<script>{actions}</script></body>")
+        )
         command = [
             BROWSER, "--headless", "--no-sandbox", "--disable-gpu", "--disable-dev-shm-usage", "--no-first-run",
             "--disable-background-networking", "--enable-logging=stderr", "--v=0",
@@ -211,7 +261,10 @@ def browse(report: Path, tmp_path: Path) -> Browse:
 
 
 def order(document: str) -> list[str]:
-    names = [html.unescape(name) for name in re.findall(r'<th scope="row" data-text="([^"]+)">', document)]
+    names = [
+        html.unescape(name)
+        for name in re.findall(r'<th scope="row" data-text="([^"]+)">', document)
+    ]
     return ["odd" if "odd" in name else name for name in names]
 
 
@@ -229,16 +282,24 @@ def test_a_browser_shows_the_table_in_its_own_order_first(browse: Browse) -> Non
         # the best first, by number and not by letter (9.50 after 18.00); what is n/a last
         ("#sort=psnr", ["combinerf", "vanilla", "vanilla (paper)", "odd", "entropy"], "descending"),
         # what is n/a stays last the other way round
-        ("#sort=psnr&order=up", ["odd", "vanilla (paper)", "vanilla", "combinerf", "entropy"], "ascending"),
+        (
+            "#sort=psnr&order=up",
+            ["odd", "vanilla (paper)", "vanilla", "combinerf", "entropy"],
+            "ascending",
+        ),
         # lower is better; of those that are n/a the first stays first
         ("#sort=lpips", ["combinerf", "vanilla", "odd", "entropy", "vanilla (paper)"], "ascending"),
     ],
 )
-def test_a_browser_sorts_by_the_fragment(browse: Browse, fragment: str, expected: list[str], direction: str) -> None:
+def test_a_browser_sorts_by_the_fragment(
+    browse: Browse, fragment: str, expected: list[str], direction: str
+) -> None:
     document = browse(fragment)
     assert order(document) == expected
     (head,) = re.findall(r"<th [^>]*aria-sort[^>]*>", document)
-    assert f'aria-sort="{direction}"' in head and f'data-column="{fragment[6:].split("&")[0]}"' in head
+    assert (
+        f'aria-sort="{direction}"' in head and f'data-column="{fragment[6:].split("&")[0]}"' in head
+    )
 
 
 def test_a_browser_shows_the_two_methods_of_the_fragment(browse: Browse) -> None:
@@ -247,7 +308,9 @@ def test_a_browser_shows_the_two_methods_of_the_fragment(browse: Browse) -> None
     assert "--split: 30%" in slider
     sources = dict(re.findall(r'<img class="(left|right)" alt="[^"]*" src="([^"]+)"', slider))
     pictures = [
-        attrs for tag, attrs in Elements(document).tags if tag == "img" and attrs.get("data-view") == "fern-3/image008"
+        attrs
+        for tag, attrs in Elements(document).tags
+        if tag == "img" and attrs.get("data-view") == "fern-3/image008"
     ]
     by_name = {(attrs["data-method"], attrs["data-kind"]): attrs["src"] for attrs in pictures}
     assert sources["left"] == by_name["combinerf", "depth"]
@@ -277,7 +340,9 @@ def test_what_a_reader_does_is_seen_and_stands_in_the_fragment(browse: Browse) -
     """
     document = browse("", actions)
     assert order(document) == ["odd", "vanilla", "combinerf", "entropy", "vanilla (paper)"]
-    assert "--split: 12%" in document and 'class="tag left" aria-hidden="true">photograph<' in document
+    assert (
+        "--split: 12%" in document and 'class="tag left" aria-hidden="true">photograph<' in document
+    )
     title = html.unescape(re.findall("<title>(.*?)</title>", document)[0])
     assert title == "#sort=lpips&order=down&split=12&view=fern-3%2Fimage008&left=photograph"
 
@@ -289,4 +354,7 @@ def test_the_console_is_watched(browse: Browse) -> None:
 
 def test_the_page_may_not_use_the_network(browse: Browse) -> None:
     with pytest.raises(AssertionError, match="Content Security Policy"):
-        browse("", "document.body.append(Object.assign(new Image(), { src: 'http://127.0.0.1:9/a.png' }))")
+        browse(
+            "",
+            "document.body.append(Object.assign(new Image(), { src: 'http://127.0.0.1:9/a.png' }))",
+        )

@@ -7,7 +7,14 @@ from pathlib import Path
 import pytest
 
 from nerfreg.errors import NerfregError
-from nerfreg.reports.paper import PaperRow, read_paper, rows_of_scene, rows_over_scenes, vanilla_psnr, with_average
+from nerfreg.reports.paper import (
+    PaperRow,
+    read_paper,
+    rows_of_scene,
+    rows_over_scenes,
+    vanilla_psnr,
+    with_average,
+)
 
 HEAD = "table,dataset,views,scene,method,psnr,ssim,lpips,average\n"
 LLFF = {"scene.format": "llff", "scene.split": "llff"}
@@ -48,7 +55,9 @@ def test_so_must_the_protocol(paper: list[PaperRow]) -> None:
     chair = {"scene.format": "blender", "scene.split": "nerf_synthetic_8", "scene.factor": 2}
     assert len(rows_of_scene(paper, "chair", 8, chair)[0]) == 1
     rows, notes = rows_of_scene(paper, "chair (factor=8)", 8, {**chair, "scene.factor": 8})
-    assert rows == [] and notes == ["The paper's rows are left out, because the runs have scene.factor=8."]
+    assert rows == [] and notes == [
+        "The paper's rows are left out, because the runs have scene.factor=8."
+    ]
     assert rows_of_scene(paper, "fern", 3, {"scene.format": "transforms"})[0] == []
 
 
@@ -62,7 +71,8 @@ def test_the_average_where_it_was_not_published() -> None:
 
 def test_means_over_some_scenes_are_of_their_own_rows(paper: list[PaperRow]) -> None:
     fern, room, chair = (
-        [row for row in paper if (row.scene, row.views) == key] for key in (("fern", 3), ("room", 3), ("chair", 8))
+        [row for row in paper if (row.scene, row.views) == key]
+        for key in (("fern", 3), ("room", 3), ("chair", 8))
     )
     # fern and room are all scenes with 3 views, so the published means count, which know kl
     assert [(row.method, row.psnr) for row in rows_over_scenes(paper, [fern, room])] == [
@@ -72,7 +82,12 @@ def test_means_over_some_scenes_are_of_their_own_rows(paper: list[PaperRow]) -> 
     # with one scene more they are some: vanilla was published on both of ours, kl on one
     more = [*paper, PaperRow("llff", 3, "horns", "vanilla", 1.0, 0.1, 0.1, 0.1)]
     (row,) = rows_over_scenes(more, [fern, room])
-    assert (row.method, row.psnr, row.ssim, row.average) == ("vanilla", 18.0, pytest.approx(0.6), pytest.approx(0.15))
+    assert (row.method, row.psnr, row.ssim, row.average) == (
+        "vanilla",
+        18.0,
+        pytest.approx(0.6),
+        pytest.approx(0.15),
+    )
     (row,) = rows_over_scenes(paper, [fern, chair])
     assert row.psnr == pytest.approx(20.625)
     assert rows_over_scenes(paper, [fern, []]) == [] and rows_over_scenes([], [[], []]) == []

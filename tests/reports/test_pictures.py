@@ -32,14 +32,21 @@ def plain(value: int, height: int = HEIGHT, width: int = WIDTH) -> np.ndarray:
 
 
 def run(
-    folder: Path, method: str, scores: dict[str, float], color: np.ndarray | None = None, seed: int = 0
+    folder: Path,
+    method: str,
+    scores: dict[str, float],
+    color: np.ndarray | None = None,
+    seed: int = 0,
 ) -> RunRecord:
     """A run whose pictures have the colour given (100), depth 30, photograph 110 and an error that is not used."""
     color = plain(100) if color is None else color
     depth, photograph, wrong = (plain(value, *color.shape[:2]) for value in (30, 110, 200))
     (folder / "renders").mkdir(parents=True)
     for view in scores:
-        iio.imwrite(folder / "renders" / f"{view}.png", np.concatenate([color, depth, photograph, wrong], axis=1))
+        iio.imwrite(
+            folder / "renders" / f"{view}.png",
+            np.concatenate([color, depth, photograph, wrong], axis=1),
+        )
     views = {view: {"psnr": score} for view, score in scores.items()}
     (folder / "results.json").write_text(json.dumps({"test_views": views}))
     final = Evaluation(100, 60.0, 20.0, None, None, None, None, 3, True)
@@ -49,8 +56,14 @@ def run(
 def test_a_strip_is_cut_into_colour_depth_and_photograph(tmp_path: Path) -> None:
     run(tmp_path / "run", "vanilla", {"a": 20.0})
     strip = read_strip(tmp_path / "run" / "renders" / "a.png")
-    assert [part.shape for part in (strip.color, strip.depth, strip.photograph)] == [(HEIGHT, WIDTH, 3)] * 3
-    assert [int(part[0, 0, 0]) for part in (strip.color, strip.depth, strip.photograph)] == [100, 30, 110]
+    assert [part.shape for part in (strip.color, strip.depth, strip.photograph)] == [
+        (HEIGHT, WIDTH, 3)
+    ] * 3
+    assert [int(part[0, 0, 0]) for part in (strip.color, strip.depth, strip.photograph)] == [
+        100,
+        30,
+        110,
+    ]
 
 
 @pytest.mark.parametrize("image", [np.zeros((4, 10, 3), np.uint8), np.zeros((4, 8), np.uint8)])
@@ -100,7 +113,9 @@ def test_of_several_runs_a_crop_covers_the_same_pixels() -> None:
     assert Crop(1, 2, 2).of(image)[:, :, 0].tolist() == [[21, 24], [36, 39]]
 
 
-@pytest.mark.parametrize(("bright", "scale"), [(0.0, 0.1), (0.1, 0.1), (0.11, 0.2), (0.5, 0.5), (0.9, 1.0), (1.0, 1.0)])
+@pytest.mark.parametrize(
+    ("bright", "scale"), [(0.0, 0.1), (0.1, 0.1), (0.11, 0.2), (0.5, 0.5), (0.9, 1.0), (1.0, 1.0)]
+)
 def test_one_scale_holds_nearly_all_errors(bright: float, scale: float) -> None:
     errors = np.zeros((2, 10, 10))
     errors[1] = bright
@@ -146,7 +161,9 @@ def test_methods_are_compared_on_the_view_asked_for(tmp_path: Path) -> None:
 
 def test_a_view_that_nobody_has_is_an_error_that_names_those_there_are(tmp_path: Path) -> None:
     records = [run(tmp_path / "v", "vanilla", {"a": 20.0})]
-    with pytest.raises(NerfregError, match=r"--views c: no run has a picture of it; views with pictures: a"):
+    with pytest.raises(
+        NerfregError, match=r"--views c: no run has a picture of it; views with pictures: a"
+    ):
         compare(records, ["a", "c"])
 
 
@@ -162,7 +179,9 @@ def test_pictures_of_another_size_are_left_out_with_a_note(tmp_path: Path) -> No
 
 def test_without_pictures_there_is_nothing_to_compare(tmp_path: Path) -> None:
     pictures = compare([run(tmp_path / "none", "vanilla", {})], [])
-    assert pictures.comparisons == () and pictures.notes == ("fern, 3 views: no pictures of vanilla",)
+    assert pictures.comparisons == () and pictures.notes == (
+        "fern, 3 views: no pictures of vanilla",
+    )
 
 
 def test_a_sheet_shows_every_pixel_of_every_method_in_its_row(tmp_path: Path) -> None:
@@ -171,12 +190,21 @@ def test_a_sheet_shows_every_pixel_of_every_method_in_its_row(tmp_path: Path) ->
     blue[..., 2], green[..., 1] = 255, 255
     records = [
         run(tmp_path / "v", "vanilla", {"a": 20.0}, blue),
-        run(tmp_path / "o", "a very long name, of many settings, that does not fit", {"a": 20.0}, green),
+        run(
+            tmp_path / "o",
+            "a very long name, of many settings, that does not fit",
+            {"a": 20.0},
+            green,
+        ),
     ]
     (path,) = draw_sheets(compare(records, []).comparisons, tmp_path / "sheets")
     assert path.name == "fern-3-a.png"
     sheet = iio.imread(path)[..., :3].astype(int)
     rows = [np.flatnonzero((sheet == color).all(-1).any(1)) for color in ((0, 0, 255), (0, 255, 0))]
     assert rows[0].max() < rows[1].min(), "one row above the other"
-    columns = [np.flatnonzero((sheet == color).all(-1).any(0)) for color in ((0, 0, 255), (0, 255, 0))]
-    assert columns[0].min() == columns[1].min() and columns[0].max() == columns[1].max(), "in the same columns"
+    columns = [
+        np.flatnonzero((sheet == color).all(-1).any(0)) for color in ((0, 0, 255), (0, 255, 0))
+    ]
+    assert columns[0].min() == columns[1].min() and columns[0].max() == columns[1].max(), (
+        "in the same columns"
+    )

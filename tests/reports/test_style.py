@@ -49,7 +49,8 @@ def test_ticks_are_round_times_and_not_too_many() -> None:
 
 
 @pytest.mark.parametrize(
-    ("seconds", "text"), [(0.5, "0.5 s"), (59.4, "59.4 s"), (60.0, "1 min"), (90.0, "1.5 min"), (5400.0, "1.5 h")]
+    ("seconds", "text"),
+    [(0.5, "0.5 s"), (59.4, "59.4 s"), (60.0, "1 min"), (90.0, "1.5 min"), (5400.0, "1.5 h")],
 )
 def test_durations_as_they_are_said(seconds: float, text: str) -> None:
     assert duration(seconds) == text
@@ -57,7 +58,10 @@ def test_durations_as_they_are_said(seconds: float, text: str) -> None:
 
 def test_the_best_methods_and_vanilla_have_a_colour_of_their_own() -> None:
     # two more than there are colours: of m0 < m1 < ... < m10 the worst two are grey, vanilla, worse still, is not
-    runs = [run(f"m{index}", 20.0 + index) for index in range(COLORED)] + [run("unscored", None), run("vanilla", 1.0)]
+    runs = [run(f"m{index}", 20.0 + index) for index in range(COLORED)] + [
+        run("unscored", None),
+        run("vanilla", 1.0),
+    ]
     styles = method_styles(runs)
     assert {method for method, style in styles.items() if style.faint} == {"m0", "unscored"}
     coloured = [style for style in styles.values() if not style.faint]

@@ -18,7 +18,11 @@ TABLE = Table(
     "fern-3",
     (Column("PSNR", "dB", ".2f", "up"), Column("LPIPS", "", ".3f", "down")),
     (
-        Row("depth_smoothness", (Cell(22.214, 0.1, 3, best=True), Cell(0.2, None, 1, second=True)), 3),
+        Row(
+            "depth_smoothness",
+            (Cell(22.214, 0.1, 3, best=True), Cell(0.2, None, 1, second=True)),
+            3,
+        ),
         Row("a|b", (Cell(None), Cell(3.0, at_most=True)), 1),
         Row("c", (Cell(None, text="not reached"), Cell(0.1)), 1),
         Row("vanilla (paper)", (Cell(17.79), Cell(None)), paper=True),
@@ -70,7 +74,9 @@ def test_csv_of_methods_and_of_runs(write_run: Callable[..., Path], tmp_path: Pa
     for seed, psnr in enumerate((20.0, 22.0)):
         write_run(f"{seed}", seed=seed, evaluations=((1.0, 10.0), (100.0, psnr)))
     write_run("2", seed=2, evaluations=((1.0, 10.0),), complete=False)
-    (write_run("3", seed=3, evaluations=(), complete=False) / "failed.json").write_text('{"error": "a, b"}')
+    (write_run("3", seed=3, evaluations=(), complete=False) / "failed.json").write_text(
+        '{"error": "a, b"}'
+    )
     records = collect([tmp_path])
     paper = [PaperRow("llff", 3, "fern", "vanilla", 17.79, 0.509, 0.402, 0.2)]
     tables = [*comparisons(records, paper, psnr=22.0), *cost_tables(records)]
@@ -82,7 +88,11 @@ def test_csv_of_methods_and_of_runs(write_run: Callable[..., Path], tmp_path: Pa
     # 20 and 22: deviations of 1 from their mean, sqrt(2 / 1)
     assert (runs["psnr_mean"], runs["psnr_std"], runs["psnr_n"]) == ("21", "1.41421", "2")
     assert (runs["depth_rmse_mean"], runs["depth_rmse_n"]) == ("", "")
-    assert (runs["psnr_to_reach"], runs["seconds_to_psnr_mean"], runs["reached"]) == ("22", "", "reached by 1 of 2")
+    assert (runs["psnr_to_reach"], runs["seconds_to_psnr_mean"], runs["reached"]) == (
+        "22",
+        "",
+        "reached by 1 of 2",
+    )
     assert (published["method"], published["source"], published["n"]) == ("vanilla", "paper", "")
     assert (published["psnr_mean"], published["train_seconds_mean"]) == ("17.79", "")
     lines = read(tmp_path / "out" / "runs.csv")
@@ -100,12 +110,20 @@ def test_the_same_runs_give_the_same_bytes(write_run: Callable[..., Path], tmp_p
 
     def write(name: str) -> dict[str, bytes]:
         records = collect([tmp_path / "b", tmp_path / "a"])
-        paths = write_tables(records, [*comparisons(records), *cost_tables(records)], tmp_path / name)
+        paths = write_tables(
+            records, [*comparisons(records), *cost_tables(records)], tmp_path / name
+        )
         return {path.relative_to(tmp_path / name).as_posix(): path.read_bytes() for path in paths}
 
     first = write("out")
     assert first == write("again")
-    assert [*first] == ["tables.md", "tables/fern-3.tex", "tables/cost-fern-3.tex", "methods.csv", "runs.csv"]
+    assert [*first] == [
+        "tables.md",
+        "tables/fern-3.tex",
+        "tables/cost-fern-3.tex",
+        "methods.csv",
+        "runs.csv",
+    ]
 
 
 def test_a_setting_names_its_files() -> None:

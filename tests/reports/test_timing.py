@@ -15,7 +15,9 @@ from nerfreg.reports.timing import Crossing, costs, seconds_to_psnr
 
 
 def evaluations(*points: tuple[float, float | None]) -> list[Evaluation]:
-    return [Evaluation(1, seconds, psnr, None, None, None, None, 2, False) for seconds, psnr in points]
+    return [
+        Evaluation(1, seconds, psnr, None, None, None, None, 2, False) for seconds, psnr in points
+    ]
 
 
 def seconds(curve: list[Evaluation], psnr: float) -> float:
@@ -58,12 +60,22 @@ def train(threads: int = 1, **keys: Any) -> dict[str, Any]:
     return {"train": {"steps": None, "seconds": 100.0, "threads": threads, **keys}}
 
 
-def test_cost_is_relative_to_vanilla_under_the_same_conditions(write_run: Callable[..., Path], tmp_path: Path) -> None:
+def test_cost_is_relative_to_vanilla_under_the_same_conditions(
+    write_run: Callable[..., Path], tmp_path: Path
+) -> None:
     def run(name: str, seconds: float, reg: str | None, seed: int = 0, **config: Any) -> None:
         overrides = [f"+reg={reg}"] if reg else []
         regularizers = {reg: {"weight": 1.0}} if reg else {}
         whole = {**train(), **config, "reg": regularizers}
-        write_run(name, overrides, ((seconds, 20.0),), seed, config=whole, step=1000, regularizers=regularizers)
+        write_run(
+            name,
+            overrides,
+            ((seconds, 20.0),),
+            seed,
+            config=whole,
+            step=1000,
+            regularizers=regularizers,
+        )
 
     # 1000 steps each, so seconds are milliseconds per step
     for seed, seconds in enumerate((10.0, 11.0, 30.0)):
@@ -74,16 +86,27 @@ def test_cost_is_relative_to_vanilla_under_the_same_conditions(write_run: Callab
         line.unlink()  # results.json says it all
     # budgets differ, so they are named
     found = {cost.method: cost for cost in costs(collect([tmp_path]))}
-    assert found["vanilla, 100 s"].seconds_per_step == pytest.approx(0.011)  # the median of 10, 11 and 30 ms
-    assert (found["vanilla, 100 s"].relative, found["vanilla, 100 s"].runs) == (pytest.approx(1.0), 3)
+    assert found["vanilla, 100 s"].seconds_per_step == pytest.approx(
+        0.011
+    )  # the median of 10, 11 and 30 ms
+    assert (found["vanilla, 100 s"].relative, found["vanilla, 100 s"].runs) == (
+        pytest.approx(1.0),
+        3,
+    )
     assert found["kl, 100 s"].relative == pytest.approx(2.0)
     assert found["lipschitz, 1000 steps"].relative is None  # vanilla was given seconds
 
 
-def test_cost_with_other_threads_or_settings_has_no_relation(write_run: Callable[..., Path], tmp_path: Path) -> None:
+def test_cost_with_other_threads_or_settings_has_no_relation(
+    write_run: Callable[..., Path], tmp_path: Path
+) -> None:
     write_run("a")
     write_run("b", ["+reg=kl"], config={**train(2), "reg": {"kl": {"weight": 1.0}}}, threads=2)
-    write_run("c", ["+reg=lipschitz", "train.rays=2"], config={**train(rays=2), "reg": {"lipschitz": {"weight": 1.0}}})
+    write_run(
+        "c",
+        ["+reg=lipschitz", "train.rays=2"],
+        config={**train(rays=2), "reg": {"lipschitz": {"weight": 1.0}}},
+    )
     relative = {cost.method: (cost.threads, cost.relative) for cost in costs(collect([tmp_path]))}
     assert relative == {"vanilla": (1, 1.0), "kl": (2, None), "lipschitz, train.rays=2": (1, None)}
 
@@ -95,4 +118,6 @@ def test_the_cost_of_runs_that_go_on_is_known_and_of_failed_ones_is_not(
     (write_run("b", ["sampler=x"]) / "failed.json").write_text("{}")
     write_run("c", ["sampler=y"], evaluations=(), complete=False)
     (cost,) = costs(collect([tmp_path]))
-    assert cost.method == "vanilla" and cost.seconds_per_step == pytest.approx(0.1)  # 10 steps a second
+    assert cost.method == "vanilla" and cost.seconds_per_step == pytest.approx(
+        0.1
+    )  # 10 steps a second

@@ -20,14 +20,27 @@ def test_metrics_are_one_line_each_and_kept(tmp_path):
     append_metrics(tmp_path / "run", {"step": 1, "psnr": 10.5})
     append_metrics(tmp_path / "run", {"step": 2, "psnr": 11.0})
     lines = (tmp_path / "run" / "metrics.jsonl").read_text().splitlines()
-    assert [strict(line) for line in lines] == [{"step": 1, "psnr": 10.5}, {"step": 2, "psnr": 11.0}]
+    assert [strict(line) for line in lines] == [
+        {"step": 1, "psnr": 10.5},
+        {"step": 2, "psnr": 11.0},
+    ]
 
 
 def test_what_is_not_a_number_is_null_at_any_depth(tmp_path):
-    record = {"psnr": math.inf, "lpips": None, "terms": {"kl": math.nan, "color": 0.5}, "views": (1, -math.inf)}
+    record = {
+        "psnr": math.inf,
+        "lpips": None,
+        "terms": {"kl": math.nan, "color": 0.5},
+        "views": (1, -math.inf),
+    }
     append_metrics(tmp_path, record)
     write_results(tmp_path, record)
-    expected = {"psnr": None, "lpips": None, "terms": {"kl": None, "color": 0.5}, "views": [1, None]}
+    expected = {
+        "psnr": None,
+        "lpips": None,
+        "terms": {"kl": None, "color": 0.5},
+        "views": [1, None],
+    }
     assert strict((tmp_path / "metrics.jsonl").read_text()) == expected
     assert strict((tmp_path / "results.json").read_text()) == expected
 

@@ -26,7 +26,9 @@ PLUGINS = "+reg=[faulty,combinerf,entropy]"
 
 
 @pytest.fixture
-def saved(make: Callable[..., Trainer], compose: Callable[..., Config], tmp_path: Path) -> tuple[Trainer, list, Path]:
+def saved(
+    make: Callable[..., Trainer], compose: Callable[..., Config], tmp_path: Path
+) -> tuple[Trainer, list, Path]:
     """A trainer, the terms of its step 2, which was left out, and the file of that step."""
     words = (PLUGINS, "reg.faulty.steps=[2]", "reg.faulty.way=gradient", "seed=5")
     config = compose("scene.size=24", "sampler.coarse=16", "sampler.fine=16", "field.levels=4", "field.finest=64",
@@ -36,25 +38,39 @@ def saved(make: Callable[..., Trainer], compose: Callable[..., Config], tmp_path
     return trainer, terms, tmp_path / "nonfinite" / "step_000002.safetensors"
 
 
-def test_the_step_comes_back_to_the_last_bit(saved: tuple[Trainer, list, Path], compose: Callable[..., Config]) -> None:
+def test_the_step_comes_back_to_the_last_bit(
+    saved: tuple[Trainer, list, Path], compose: Callable[..., Config]
+) -> None:
     trainer, terms, path = saved
     recording = load_recording(path)
     assert recording.faults == ("gradient of faulty",)
-    assert (recording.batch.index, recording.batch.total, recording.batch.fraction) == (2, 40, 2 / 40)
+    assert (recording.batch.index, recording.batch.total, recording.batch.fraction) == (
+        2,
+        40,
+        2 / 40,
+    )
     assert recording.batch.bounds == (trainer.scene.near, trainer.scene.far)
     for name, weights in trainer.field.state_dict().items():
         assert torch.equal(recording.weights[name], weights)
     hooks = Hooks(recording.config.reg)
-    _, again = recording.batch.render(Renderer(trainer.field, recording.config.sampler, hooks), hooks)
+    _, again = recording.batch.render(
+        Renderer(trainer.field, recording.config.sampler, hooks), hooks
+    )
     assert [term.plugin for term in again] == [term.plugin for term in terms]
-    assert len(terms) > 5 and all(torch.equal(a.value, b.value) for a, b in zip(again, terms, strict=True))
+    assert len(terms) > 5 and all(
+        torch.equal(a.value, b.value) for a, b in zip(again, terms, strict=True)
+    )
 
 
 def test_the_configuration_comes_back_with_its_types(saved: tuple[Trainer, list, Path]) -> None:
     config = load_recording(saved[2]).config
     plugins = saved[0].hooks.plugins
-    assert {name: type(plugin) for name, plugin in config.reg.items()} == {n: type(p) for n, p in plugins.items()}
-    assert {name: asdict(plugin) for name, plugin in config.reg.items()} == {n: asdict(p) for n, p in plugins.items()}
+    assert {name: type(plugin) for name, plugin in config.reg.items()} == {
+        n: type(p) for n, p in plugins.items()
+    }
+    assert {name: asdict(plugin) for name, plugin in config.reg.items()} == {
+        n: asdict(p) for n, p in plugins.items()
+    }
     assert config.seed == 5
 
 
@@ -90,7 +106,9 @@ def test_a_plugin_that_is_not_installed_here(
         replay(saved[2])
 
 
-def test_a_plugin_whose_layers_have_changed(saved: tuple[Trainer, list, Path], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_plugin_whose_layers_have_changed(
+    saved: tuple[Trainer, list, Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(Lipschitz, "nerfreg_layer", hookimpl(lambda self: None))
     with pytest.raises(NerfregError, match="its weights do not fit the plugins as they are now"):
         replay(saved[2])

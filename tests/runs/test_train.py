@@ -36,11 +36,16 @@ def test_a_run_leaves_what_the_design_lists(run: Path, capsys: pytest.CaptureFix
     assert results["skipped_steps"] == 0 and not (run / "nonfinite").exists()
     assert results["step"] == 20 and results["views"] == 3 and results["seed"] == 0
     assert set(results["regularizers"]) == {"distortion", "lipschitz"}
-    assert results["points_per_second"] * results["train_seconds"] == pytest.approx(20 * 128 * 32, rel=1e-2)
+    assert results["points_per_second"] * results["train_seconds"] == pytest.approx(
+        20 * 128 * 32, rel=1e-2
+    )
     lines = [json.loads(line) for line in (run / "metrics.jsonl").read_text().splitlines()]
     assert len(lines) == 3
     assert [line["step"] for line in lines] == sorted({line["step"] for line in lines})
-    assert lines[-1]["psnr"] == results["psnr"] and lines[-1]["losses"].keys() == {"color", "distortion"}
+    assert lines[-1]["psnr"] == results["psnr"] and lines[-1]["losses"].keys() == {
+        "color",
+        "distortion",
+    }
     pictures = sorted((run / "renders").iterdir())
     assert [picture.name for picture in pictures] == ["test_3.png", "test_4.png"]
     assert iio.imread(pictures[0]).shape == (32, 4 * 32, 3)
@@ -49,10 +54,10 @@ def test_a_run_leaves_what_the_design_lists(run: Path, capsys: pytest.CaptureFix
 def test_one_thread_means_one_in_a_new_process() -> None:
     """Whatever numba does to the number that torch has when it starts its own threads."""
     script = "import numba, torch; from nerfreg.config.schema import Config; from nerfreg.runs.train import prepare;"
-    script += (
-        "c = Config(); c.device = 'cpu'; c.train.threads = 1; prepare(c); print(torch.get_num_threads(), numba.get_num_threads())"
+    script += "c = Config(); c.device = 'cpu'; c.train.threads = 1; prepare(c); print(torch.get_num_threads(), numba.get_num_threads())"
+    made = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True, check=True
     )
-    made = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
     assert made.stdout.split() == ["1", "1"]
 
 
@@ -80,28 +85,50 @@ def test_a_device_that_is_not_there(
     assert not list(tmp_path.rglob("results.json"))
 
 
-@pytest.mark.skipif("NERFREG_DATA" not in os.environ, reason="NERFREG_DATA is not set: no real photographs")
+@pytest.mark.skipif(
+    "NERFREG_DATA" not in os.environ, reason="NERFREG_DATA is not set: no real photographs"
+)
 @pytest.mark.parametrize(
     "overrides, train, tests",
     [
         (
-            ["scene=llff", "scene.path=${oc.env:NERFREG_DATA}/nerf_llff_data/fern", "scene.views=3"],
+            [
+                "scene=llff",
+                "scene.path=${oc.env:NERFREG_DATA}/nerf_llff_data/fern",
+                "scene.views=3",
+            ],
             ["image001", "image010", "image019"],
             {"image000", "image008", "image016"},
         ),
         (
-            ["scene=blender", "scene.path=${oc.env:NERFREG_DATA}/nerf_synthetic/chair", "scene.factor=8"],
+            [
+                "scene=blender",
+                "scene.path=${oc.env:NERFREG_DATA}/nerf_synthetic/chair",
+                "scene.factor=8",
+            ],
             [f"train_r_{i}" for i in (26, 86, 2, 55, 75, 93, 16, 73)],
             {f"test_r_{round(i * 199 / 24)}" for i in range(25)},
         ),
     ],
 )
 def test_real_photographs_by_the_papers_protocols(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, overrides: list[str], train: list[str], tests: set[str]
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    overrides: list[str],
+    train: list[str],
+    tests: set[str],
 ) -> None:
     monkeypatch.chdir(tmp_path)
     small = [word for word in SMALL if not word.startswith("scene.")]
-    words = ["train", "+reg=combinerf", *overrides, *small, "sampler.coarse=8", "sampler.fine=8", "hydra.run.dir=run"]
+    words = [
+        "train",
+        "+reg=combinerf",
+        *overrides,
+        *small,
+        "sampler.coarse=8",
+        "sampler.fine=8",
+        "hydra.run.dir=run",
+    ]
     assert main(words) == 0
     results = json.loads((tmp_path / "run" / "results.json").read_text())
     assert results["train_views"] == train and set(results["test_views"]) == tests

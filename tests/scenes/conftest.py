@@ -34,7 +34,9 @@ def transforms(tmp_path: Path) -> Path:
     frames = []
     for index in range(9):
         write_image(tmp_path / "images" / f"{index}.png", 8, 6)
-        frames.append({"file_path": f"images/{index}.png", "transform_matrix": pose_at(0.1 * index)})
+        frames.append(
+            {"file_path": f"images/{index}.png", "transform_matrix": pose_at(0.1 * index)}
+        )
     content = {"fl_x": 10.0, "fl_y": 12.0, "cx": 3.5, "cy": 2.5, "w": 8, "h": 6, "frames": frames}
     (tmp_path / "transforms.json").write_text(json.dumps(content))
     return tmp_path / "transforms.json"

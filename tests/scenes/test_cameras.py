@@ -45,21 +45,27 @@ def test_projecting_a_ray_gives_its_pixel(distortion):
     cameras = camera(distortion)
     pixels = torch.tensor([[x, y] for x in range(4) for y in range(2)])
     origins, directions = cameras.rays(torch.zeros(8, dtype=torch.long), pixels)
-    torch.testing.assert_close(cameras.project(origins + 5 * directions, 0), pixels + 0.5, atol=1e-4, rtol=0)
+    torch.testing.assert_close(
+        cameras.project(origins + 5 * directions, 0), pixels + 0.5, atol=1e-4, rtol=0
+    )
 
 
 def test_distort_by_hand():
     # x = 1, y = 2: r2 = 5; radial = 1 + 0.1*5 + 0.01*25 + 0.001*125 = 1.875.
     # x' = 1.875 + 2*0.02*1*2 + 0.03*(5 + 2) = 2.165; y' = 3.75 + 0.02*(5 + 8) + 2*0.03*2 = 4.13.
     coefficients = torch.tensor([[0.1, 0.01, 0.02, 0.03, 0.001]])
-    torch.testing.assert_close(distort(torch.tensor([[1.0, 2.0]]), coefficients), torch.tensor([[2.165, 4.13]]))
+    torch.testing.assert_close(
+        distort(torch.tensor([[1.0, 2.0]]), coefficients), torch.tensor([[2.165, 4.13]])
+    )
 
 
 def test_undistort_inverts_a_wide_lens():
     side = torch.linspace(-0.8, 0.8, 9)
     points = torch.cartesian_prod(side, side)
     coefficients = torch.tensor(LENS).expand(len(points), 5)
-    torch.testing.assert_close(undistort(distort(points, coefficients), coefficients), points, atol=1e-5, rtol=0)
+    torch.testing.assert_close(
+        undistort(distort(points, coefficients), coefficients), points, atol=1e-5, rtol=0
+    )
 
 
 def test_a_lens_that_folds_is_found():
@@ -86,4 +92,8 @@ def test_photographs_are_those_of_the_training_views() -> None:
     for index, view in enumerate(scene.train):
         assert torch.equal(photographs.images[index], scene.read_image(view))
         assert torch.equal(photographs.cameras.poses[index], scene.cameras.poses[view])
-    assert (photographs.near, photographs.far, photographs.layout) == (scene.near, scene.far, "orbit")
+    assert (photographs.near, photographs.far, photographs.layout) == (
+        scene.near,
+        scene.far,
+        "orbit",
+    )

@@ -67,15 +67,27 @@ def test_an_image_that_ends_too_early(blender):
 @pytest.mark.parametrize(
     ("edit", "message"),
     [
-        (lambda c: c["frames"][2].pop("transform_matrix"), "frame 2: key 'transform_matrix' is missing"),
+        (
+            lambda c: c["frames"][2].pop("transform_matrix"),
+            "frame 2: key 'transform_matrix' is missing",
+        ),
         (lambda c: c["frames"][2].pop("file_path"), "frame 2: key 'file_path' is missing"),
         (
             lambda c: c["frames"][2].update(transform_matrix=[[1, 2], [3, 4]]),
             "frame 2: 'transform_matrix' must be 4 x 4",
         ),
-        (lambda c: c["frames"][2].update(transform_matrix=[[1, 2], [3]]), "frame 2: 'transform_matrix' must be 4 x 4"),
-        (lambda c: c["frames"][2]["transform_matrix"][0].__setitem__(3, float("nan")), "frame 2: the pose holds NaN"),
-        (lambda c: c["frames"][2]["transform_matrix"][0].__setitem__(0, 1.1), "frame 2: the pose is not rigid"),
+        (
+            lambda c: c["frames"][2].update(transform_matrix=[[1, 2], [3]]),
+            "frame 2: 'transform_matrix' must be 4 x 4",
+        ),
+        (
+            lambda c: c["frames"][2]["transform_matrix"][0].__setitem__(3, float("nan")),
+            "frame 2: the pose holds NaN",
+        ),
+        (
+            lambda c: c["frames"][2]["transform_matrix"][0].__setitem__(0, 1.1),
+            "frame 2: the pose is not rigid",
+        ),
         (
             lambda c: c["frames"][2]["transform_matrix"][0].__setitem__(0, -1),
             "frame 2: the pose is not rigid; it mirrors",
@@ -83,11 +95,17 @@ def test_an_image_that_ends_too_early(blender):
         (lambda c: c.pop("fl_x"), "'fl_x' and 'camera_angle_x' are missing"),
         (lambda c: c.update(fl_x="long"), "'fl_x' must be a number, not 'long'"),
         (lambda c: c.update(fl_x=0), "focal length along x is 0"),
-        (lambda c: c.update(camera_model="OPENCV_FISHEYE"), "camera model OPENCV_FISHEYE is not supported"),
+        (
+            lambda c: c.update(camera_model="OPENCV_FISHEYE"),
+            "camera model OPENCV_FISHEYE is not supported",
+        ),
         (lambda c: c.update(k4=0.1), "fisheye"),
         (lambda c: c.update(k1=-2.0, fl_x=4, fl_y=4), "folds the image over itself"),
         (lambda c: c.update(w=8, h=8), "not a smaller version"),
-        (lambda c: c.update(train_filenames=["images/77.png"]), "'train_filenames' names images/77.png"),
+        (
+            lambda c: c.update(train_filenames=["images/77.png"]),
+            "'train_filenames' names images/77.png",
+        ),
         (lambda c: c.update(train_filenames=["images/1.png"]), "must both name images"),
     ],
 )
@@ -98,7 +116,10 @@ def test_transforms(transforms, edit, message):
 
 def test_views_and_factor(transforms, blender):
     refused(Transforms(path=str(transforms), views=8), "scene.views=8: there are only 7")
-    refused(Transforms(path=str(transforms), factor=7), "scene.factor=7: must lie between 1 and the image size, 8 x 6")
+    refused(
+        Transforms(path=str(transforms), factor=7),
+        "scene.factor=7: must lie between 1 and the image size, 8 x 6",
+    )
     refused(Blender(path=str(blender), factor=0), "scene.factor=0")
     refused(Blender(path=str(blender), views=3), "scene.views=3: there are only 2")
 

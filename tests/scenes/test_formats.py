@@ -49,7 +49,9 @@ def test_reduce_drops_what_fills_no_block():
 )
 def test_gray_alpha_and_16_bits(tmp_path, pixels, expected):
     iio.imwrite(tmp_path / "image.png", pixels)
-    torch.testing.assert_close(read_image(tmp_path / "image.png")[0, 0], torch.tensor(expected, dtype=torch.float32))
+    torch.testing.assert_close(
+        read_image(tmp_path / "image.png")[0, 0], torch.tensor(expected, dtype=torch.float32)
+    )
 
 
 def test_blender(blender):
@@ -83,7 +85,9 @@ def test_llff(llff):
     assert scene.cameras.focal[0].tolist() == pytest.approx([10, 10])
     expected = torch.eye(3).repeat(3, 1, 1)
     torch.testing.assert_close(scene.cameras.poses[:, :, :3], expected)
-    torch.testing.assert_close(scene.cameras.positions, torch.tensor([[-1.0, 0, 0], [0, 0, 0], [1, 0, 0]]))
+    torch.testing.assert_close(
+        scene.cameras.positions, torch.tensor([[-1.0, 0, 0], [0, 0, 0], [1, 0, 0]])
+    )
     assert (scene.train, scene.test, scene.layout) == ((1, 2), (0,), "forward")
     assert scene.labels == ("0", "1", "2")
     # Training bounds: 1.5 to 11 and 1 to 12, so planes at 0.9 and 13.2. The corner ray is longer than its depth by
@@ -144,7 +148,10 @@ def test_transforms_per_frame_intrinsics_and_missing_extensions(transforms):
 
 
 def test_transforms_honours_its_own_split(transforms):
-    lists = {"train_filenames": [f"images/{i}.png" for i in (5, 1, 2)], "test_filenames": ["./images/3.png"]}
+    lists = {
+        "train_filenames": [f"images/{i}.png" for i in (5, 1, 2)],
+        "test_filenames": ["./images/3.png"],
+    }
     edit(transforms, **lists)
     assert Transforms(path=str(transforms)).load().train == (5, 1, 2)
     assert Transforms(path=str(transforms)).load().test == (3,)
@@ -169,8 +176,13 @@ def test_the_same_scene_written_in_two_formats_has_the_same_rays(tmp_path):
         right, up, back, position = pose.T
         matrix = np.stack((-up, right, back, position, np.array([12, 16, focal])), axis=1)
         rows.append([*matrix.ravel(), 1.0, 8.0])
-        iio.imwrite(tmp_path / "images" / f"{view}.png", (scene.read_image(view).numpy() * 255).astype(np.uint8))
-        frames.append({"file_path": f"images/{view}", "transform_matrix": [*pose.tolist(), [0, 0, 0, 1]]})
+        iio.imwrite(
+            tmp_path / "images" / f"{view}.png",
+            (scene.read_image(view).numpy() * 255).astype(np.uint8),
+        )
+        frames.append(
+            {"file_path": f"images/{view}", "transform_matrix": [*pose.tolist(), [0, 0, 0, 1]]}
+        )
     np.save(tmp_path / "poses_bounds.npy", np.array(rows))
     (tmp_path / "transforms.json").write_text(json.dumps({"fl_x": focal, "frames": frames}))
     views, pixels = torch.tensor([0, 3, 7]), torch.tensor([[0, 0], [15, 11], [4, 9]])
@@ -178,7 +190,9 @@ def test_the_same_scene_written_in_two_formats_has_the_same_rays(tmp_path):
     actual = Transforms(path=str(tmp_path)).load().cameras.rays(views, pixels)
     torch.testing.assert_close(actual, expected)
     moved = LLFF(path=str(tmp_path)).load().cameras.rays(views, pixels)
-    torch.testing.assert_close(torch.cdist(moved[0], moved[0]), torch.cdist(expected[0], expected[0]))
+    torch.testing.assert_close(
+        torch.cdist(moved[0], moved[0]), torch.cdist(expected[0], expected[0])
+    )
     torch.testing.assert_close(moved[1] @ moved[1].T, expected[1] @ expected[1].T)
 
 
@@ -188,7 +202,9 @@ def test_chair(data):
     assert scene.labels[scene.test[-1]] == "test/r_199"
     assert (len(scene.train), len(scene.test), len(scene.cameras)) == (8, 25, 300)
     # Blender's cameras stand 4.0311 from the origin; half the angle is 0.34556: 4.0311 sin(0.34556) = 1.3654.
-    torch.testing.assert_close(scene.box, torch.tensor([[-1.3654] * 3, [1.3654] * 3]), atol=1e-3, rtol=0)
+    torch.testing.assert_close(
+        scene.box, torch.tensor([[-1.3654] * 3, [1.3654] * 3]), atol=1e-3, rtol=0
+    )
     assert scene.cameras.focal[0, 0] == pytest.approx(1111.111 / 2, rel=1e-5)
     # The chair stands around the origin: the middle of what is opaque lies near the projected centre of the box.
     for view in (*scene.train[:3], *scene.test[::8]):

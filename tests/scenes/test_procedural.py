@@ -24,7 +24,12 @@ def first_hit(solid: Solid, origin: list[float], direction: list[float]) -> floa
     [
         (Solid(BALL, (0.0, 0.0, 5.0), (1.0, 1.0, 1.0), WHITE), [0, 0, 0], [0, 0, 1], 4),
         # Half a radius off the centre: the surface is sqrt(3)/2 before it.
-        (Solid(BALL, (0.0, 0.0, 5.0), (1.0, 1.0, 1.0), WHITE), [0.5, 0, 0], [0, 0, 1], 5 - math.sqrt(3) / 2),
+        (
+            Solid(BALL, (0.0, 0.0, 5.0), (1.0, 1.0, 1.0), WHITE),
+            [0.5, 0, 0],
+            [0, 0, 1],
+            5 - math.sqrt(3) / 2,
+        ),
         (Solid(BALL, (0.0, 0.0, 5.0), (1.0, 1.0, 1.0), WHITE), [1.01, 0, 0], [0, 0, 1], math.inf),
         (Solid(BALL, (0.0, 0.0, 5.0), (1.0, 1.0, 1.0), WHITE), [0, 0, 0], [0, 0, -1], math.inf),
         (Solid(BALL, (0.0, 0.0, 5.0), (1.0, 1.0, 2.0), WHITE), [0, 0, 0], [0, 0, 1], 3),
@@ -50,7 +55,9 @@ def test_distances_by_hand(solid, origin, direction, expected):
 def test_normals_point_at_the_viewer_and_away_from_the_middle(shape):
     solid = Solid(shape, (0.3, -0.2, 0.1), (0.5, 0.7, 0.9), WHITE, turn=0.4)
     generator = torch.Generator().manual_seed(0)
-    directions = torch.nn.functional.normalize(torch.randn(500, 3, generator=generator).double(), dim=-1)
+    directions = torch.nn.functional.normalize(
+        torch.randn(500, 3, generator=generator).double(), dim=-1
+    )
     origins = torch.tensor([0.3, -0.2, 0.1]).double() - 3 * directions
     distance, _ = Still([solid]).trace(origins, directions)
     points = origins + distance[:, None] * directions
@@ -138,13 +145,17 @@ def test_depth_maps_of_two_views_agree():
     visible = (there - distance).abs() < 0.02
     assert visible.float().mean() > 0.4
     # Nothing is seen through: some neighbour (the point may lie on an outline) is no farther than the point.
-    nearest = -torch.nn.functional.max_pool2d(-scene.read_depth(other)[None], 3, stride=1, padding=1)[0]
+    nearest = -torch.nn.functional.max_pool2d(
+        -scene.read_depth(other)[None], 3, stride=1, padding=1
+    )[0]
     assert (nearest[pixels[:, 1], pixels[:, 0]] < distance + 0.05).all()
 
 
 def test_training_and_test_views_do_not_depend_on_each_other():
     few, many = Procedural(views=4, test_views=5).load(), Procedural(views=9, test_views=5).load()
-    torch.testing.assert_close(few.cameras.poses[list(few.test)], many.cameras.poses[list(many.test)])
+    torch.testing.assert_close(
+        few.cameras.poses[list(few.test)], many.cameras.poses[list(many.test)]
+    )
     assert few.train == (0, 1, 2, 3)
     assert few.test == (4, 5, 6, 7, 8)
 
@@ -199,9 +210,13 @@ def test_refused(values, message):
 def test_highlights_move_with_the_viewer():
     # Halfway between lamp and eye turns half as far as the eye does: the same point of a glossy ball looks different.
     black = Texture("stripes", torch.zeros(2, 3), 1.0, torch.zeros(3))
-    still = Still([Solid(BALL, (0.0, 0.0, 0.0), (1.0, 1.0, 1.0), black, gloss=0.5)], lamp=(1.0, 0.0, 0.0))
+    still = Still(
+        [Solid(BALL, (0.0, 0.0, 0.0), (1.0, 1.0, 1.0), black, gloss=0.5)], lamp=(1.0, 0.0, 0.0)
+    )
     angle = math.radians(40)
     eyes = torch.tensor([[3.0, 0, 0], [1 + 2 * math.cos(angle), 2 * math.sin(angle), 0]])
-    colors, _ = still.shade(eyes, torch.nn.functional.normalize(torch.tensor([1.0, 0, 0]) - eyes, dim=-1))
+    colors, _ = still.shade(
+        eyes, torch.nn.functional.normalize(torch.tensor([1.0, 0, 0]) - eyes, dim=-1)
+    )
     torch.testing.assert_close(colors[0], torch.full((3,), 0.5))
     torch.testing.assert_close(colors[1], torch.full((3,), 0.5 * math.cos(angle / 2) ** 30))

@@ -57,15 +57,22 @@ def test_loss_reaches_the_core(compose, rendering, step) -> None:
 
 @pytest.mark.usefixtures("good")
 def test_unknown_key_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["train", "--cfg", "job", "+reg=binary_opacity", "reg.binary_opacity.sharpnes=2"]) == 2
-    expected = "unknown key 'reg.binary_opacity.sharpnes'; did you mean 'reg.binary_opacity.sharpness'?"
+    assert (
+        main(["train", "--cfg", "job", "+reg=binary_opacity", "reg.binary_opacity.sharpnes=2"]) == 2
+    )
+    expected = (
+        "unknown key 'reg.binary_opacity.sharpnes'; did you mean 'reg.binary_opacity.sharpness'?"
+    )
     assert expected in capsys.readouterr().err
 
 
 @pytest.mark.usefixtures("good")
 def test_preset_of_a_package(compose) -> None:
     reg = compose("+reg=gloom").reg
-    assert {name: plugin.weight for name, plugin in reg.items()} == {"dim": 0.5, "full_geometry": 0.125}
+    assert {name: plugin.weight for name, plugin in reg.items()} == {
+        "dim": 0.5,
+        "full_geometry": 0.125,
+    }
 
 
 @pytest.mark.usefixtures("good")
@@ -76,19 +83,27 @@ def test_defaults_follow_the_layout_unless_overridden(compose) -> None:
 
 
 @pytest.mark.usefixtures("bad")
-def test_broken_package_is_reported_and_skipped(compose, capsys: pytest.CaptureFixture[str]) -> None:
+def test_broken_package_is_reported_and_skipped(
+    compose, capsys: pytest.CaptureFixture[str]
+) -> None:
     states = {plugin.name: plugin.state for plugin in installed()}
-    assert states["broken"] == ("failed to import: ModuleNotFoundError: No module named 'a_module_that_nobody_has'")
+    assert states["broken"] == (
+        "failed to import: ModuleNotFoundError: No module named 'a_module_that_nobody_has'"
+    )
     assert states["kl"] == "ok"
     assert main(["train", "--cfg", "job", "+reg=kl"]) == 0
-    assert "warning: plugin 'broken' of package nerfreg-broken is left out" in capsys.readouterr().err
+    assert (
+        "warning: plugin 'broken' of package nerfreg-broken is left out" in capsys.readouterr().err
+    )
 
 
 @pytest.mark.usefixtures("bad")
 def test_broken_package_is_an_error_when_selected(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["train", "--cfg", "job", "+reg=broken"]) == 2
     error = capsys.readouterr().err.splitlines()[-1]
-    assert error.startswith("nerfreg: error: plugin 'broken' of package nerfreg-broken: failed to import")
+    assert error.startswith(
+        "nerfreg: error: plugin 'broken' of package nerfreg-broken: failed to import"
+    )
 
 
 @pytest.mark.usefixtures("bad")
@@ -96,13 +111,30 @@ def test_two_packages_with_one_name_are_both_named(capsys: pytest.CaptureFixture
     assert main(["train", "--cfg", "job", "+reg=twin"]) == 2
     error = capsys.readouterr().err.splitlines()[-1]
     assert "claimed by both nerfreg-twin-a and nerfreg-twin-b" in error
-    assert [plugin.package for plugin in installed() if plugin.name == "twin"] == ["nerfreg-twin-a", "nerfreg-twin-b"]
+    assert [plugin.package for plugin in installed() if plugin.name == "twin"] == [
+        "nerfreg-twin-a",
+        "nerfreg-twin-b",
+    ]
 
 
-def test_trains_in_a_process_of_its_own(good: None, environment: dict[str, str], tmp_path: Path) -> None:
+def test_trains_in_a_process_of_its_own(
+    good: None, environment: dict[str, str], tmp_path: Path
+) -> None:
     """No import hook for shapes: what a user of that package would do."""
-    size = ["scene.size=8", "scene.views=2", "scene.test_views=1", "field.levels=2", "field.log2_entries=8"]
-    budget = ["train.steps=2", "train.rays=8", "train.quiet=true", "eval.lpips=false", "eval.count=1"]
+    size = [
+        "scene.size=8",
+        "scene.views=2",
+        "scene.test_views=1",
+        "field.levels=2",
+        "field.log2_entries=8",
+    ]
+    budget = [
+        "train.steps=2",
+        "train.rays=8",
+        "train.quiet=true",
+        "eval.lpips=false",
+        "eval.count=1",
+    ]
     command = [
         sys.executable,
         "-m",

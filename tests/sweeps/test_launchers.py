@@ -20,7 +20,10 @@ TINY = [
 LAUNCHERS = {
     "joblib": ("hydra_joblib_launcher", ["hydra/launcher=joblib", "hydra.launcher.n_jobs=2"]),
     "submitit_local": ("hydra_submitit_launcher", ["hydra/launcher=submitit_local"]),
-    "ray": ("hydra_ray_launcher", ["hydra/launcher=ray", "+hydra.launcher.ray.init.include_dashboard=false"]),
+    "ray": (
+        "hydra_ray_launcher",
+        ["hydra/launcher=ray", "+hydra.launcher.ray.init.include_dashboard=false"],
+    ),
 }
 
 
@@ -29,13 +32,17 @@ def command(*words: str) -> list[str]:
 
 
 @pytest.mark.parametrize("launcher", LAUNCHERS)
-def test_jobs_run_in_other_processes(launcher: str, tmp_path: Path, environment: dict[str, str]) -> None:
+def test_jobs_run_in_other_processes(
+    launcher: str, tmp_path: Path, environment: dict[str, str]
+) -> None:
     package, choice = LAUNCHERS[launcher]
     pytest.importorskip(f"hydra_plugins.{package}")
     # a home of its own: Ray keeps things there
     environment = {**environment, "HOME": str(tmp_path / "home")}
     words = ["+reg=kl", "device=cpu,nonsense", "seed=0", *choice, *TINY]
-    done = subprocess.run(command(*words), cwd=tmp_path, env=environment, capture_output=True, text=True)
+    done = subprocess.run(
+        command(*words), cwd=tmp_path, env=environment, capture_output=True, text=True
+    )
     assert done.returncode == 1, done.stderr
     assert "2 jobs: 1 done, 0 skipped, 1 failed" in done.stdout
     [results] = tmp_path.glob("multirun/procedural/*/results.json")
@@ -49,13 +56,22 @@ def test_jobs_run_in_other_processes(launcher: str, tmp_path: Path, environment:
 
 @pytest.mark.skipif(sys.platform == "win32", reason="no process groups")
 @pytest.mark.parametrize("launcher", ["basic", pytest.param("joblib", marks=pytest.mark.slow)])
-def test_interrupt_leaves_whole_runs_whole(launcher: str, tmp_path: Path, environment: dict[str, str]) -> None:
+def test_interrupt_leaves_whole_runs_whole(
+    launcher: str, tmp_path: Path, environment: dict[str, str]
+) -> None:
     choice: list[str] = []
     if launcher == "joblib":
         pytest.importorskip("hydra_plugins.hydra_joblib_launcher")
         choice = LAUNCHERS["joblib"][1]
     # one job ends after two steps; the other would go on for an hour
-    words = ["train.seconds=3600", "train.steps=2,null", *choice, *TINY[:5], *TINY[6:], "train.quiet=true"]
+    words = [
+        "train.seconds=3600",
+        "train.steps=2,null",
+        *choice,
+        *TINY[:5],
+        *TINY[6:],
+        "train.quiet=true",
+    ]
     # What a shell starts in the background ignores Ctrl-C, and hands that on.
     listening = partial(signal.signal, signal.SIGINT, signal.SIG_DFL)
     sweep = subprocess.Popen(
@@ -69,7 +85,9 @@ def test_interrupt_leaves_whole_runs_whole(launcher: str, tmp_path: Path, enviro
     )
     try:
         deadline = time.monotonic() + 120
-        while not ([*tmp_path.rglob("results.json")] and [*tmp_path.glob("multirun/.jobs/*/1.json")]):
+        while not (
+            [*tmp_path.rglob("results.json")] and [*tmp_path.glob("multirun/.jobs/*/1.json")]
+        ):
             assert sweep.poll() is None and time.monotonic() < deadline
             time.sleep(0.1)
         os.killpg(sweep.pid, signal.SIGINT)  # what a terminal does on Ctrl-C

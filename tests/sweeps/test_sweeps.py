@@ -34,7 +34,11 @@ class Jobs:
         (folder / "metrics.jsonl").touch()
         if config.seed in self.failing:
             raise self.failing[config.seed]
-        record = {"psnr": 20.0 + config.seed, "average": 0.1, "held_out": config.scene.held_out is not None}
+        record = {
+            "psnr": 20.0 + config.seed,
+            "average": 0.1,
+            "held_out": config.scene.held_out is not None,
+        }
         (folder / "results.json").write_text(json.dumps(record))
 
 
@@ -76,25 +80,40 @@ def test_names_that_cannot_say_everything_differ_by_a_hash() -> None:
     assert max(map(len, long)) <= 109  # 100, an underscore, 8 digits
 
 
-def test_failing_job_is_recorded_and_the_others_are_done(jobs: Jobs, capsys: pytest.CaptureFixture[str]) -> None:
-    jobs.failing = {1: NerfregError("no such thing"), 2: ZeroDivisionError("by zero"), 3: SystemExit(7)}
+def test_failing_job_is_recorded_and_the_others_are_done(
+    jobs: Jobs, capsys: pytest.CaptureFixture[str]
+) -> None:
+    jobs.failing = {
+        1: NerfregError("no such thing"),
+        2: ZeroDivisionError("by zero"),
+        3: SystemExit(7),
+    }
     assert main(["train", "-m", "seed=0,1,2,3,4"]) == 1
     assert jobs.done == [0, 1, 2, 3, 4]
-    failures = [json.loads(Path(f"multirun/procedural/seed={i}/failed.json").read_text()) for i in (1, 2, 3)]
+    failures = [
+        json.loads(Path(f"multirun/procedural/seed={i}/failed.json").read_text()) for i in (1, 2, 3)
+    ]
     assert [(f["error"], f["message"]) for f in failures] == [
         ("NerfregError", "no such thing"), ("ZeroDivisionError", "by zero"), ("SystemExit", "7")
     ]  # fmt: skip
-    assert failures[1]["overrides"] == ["seed=2"] and "raise self.failing" in failures[1]["traceback"]
+    assert (
+        failures[1]["overrides"] == ["seed=2"] and "raise self.failing" in failures[1]["traceback"]
+    )
     assert set(failures[0]) == {"error", "message", "overrides", "traceback", "time"}
     shown = capsys.readouterr()
     *_, last = shown.out.splitlines()
     assert last == "5 jobs: 2 done, 0 skipped, 3 failed"
     assert "multirun/procedural/seed=2: ZeroDivisionError: by zero" in shown.out.splitlines()
-    assert shown.err.splitlines()[1:3] == ["[2/5] seed=1", "[2/5] failed: NerfregError: no such thing"]
+    assert shown.err.splitlines()[1:3] == [
+        "[2/5] seed=1",
+        "[2/5] failed: NerfregError: no such thing",
+    ]
     assert not [*Path("multirun").glob(".*")]  # what the jobs told is told
 
 
-def test_starting_again_redoes_what_is_not_complete(jobs: Jobs, capsys: pytest.CaptureFixture[str]) -> None:
+def test_starting_again_redoes_what_is_not_complete(
+    jobs: Jobs, capsys: pytest.CaptureFixture[str]
+) -> None:
     jobs.failing = {1: ZeroDivisionError()}
     assert main(["train", "-m", "seed=0,1"]) == 1
     failed = Path("multirun/procedural/seed=1")
@@ -105,9 +124,18 @@ def test_starting_again_redoes_what_is_not_complete(jobs: Jobs, capsys: pytest.C
     # the seed that is new joins those that are there, and a quiet run is no other run
     assert main(["train", "-m", "seed=0,1,2", "train.quiet=true"]) == 0
     assert jobs.done == [0, 1, 1, 2]
-    assert sorted(path.name for path in failed.iterdir()) == [".hydra", "metrics.jsonl", "notes.txt", "results.json"]
+    assert sorted(path.name for path in failed.iterdir()) == [
+        ".hydra",
+        "metrics.jsonl",
+        "notes.txt",
+        "results.json",
+    ]
     shown = capsys.readouterr()
-    assert shown.err.splitlines() == ["[1/3] seed=0: skipped, complete", "[2/3] seed=1", "[3/3] seed=2"]
+    assert shown.err.splitlines() == [
+        "[1/3] seed=0: skipped, complete",
+        "[2/3] seed=1",
+        "[3/3] seed=2",
+    ]
     rows = [line.split("\t") for line in shown.out.splitlines()]
     assert rows[0] == ["", "state", "psnr", "average", "job", "folder"]
     assert rows[1] == ["1", "skipped", "20.00", "0.1000", "seed=0", "multirun/procedural/seed=0"]
@@ -123,7 +151,10 @@ def test_two_configurations_never_share_a_folder(jobs: Jobs) -> None:
     first, second = folders()
     assert first == "reg=mine" and second.startswith("reg=mine_") and len(jobs.done) == 2
     for name, weight in ((first, 0.25), (second, 0.5)):
-        assert f"weight: {weight}" in Path(f"multirun/procedural/{name}/.hydra/config.yaml").read_text()
+        assert (
+            f"weight: {weight}"
+            in Path(f"multirun/procedural/{name}/.hydra/config.yaml").read_text()
+        )
 
 
 def test_study_has_a_folder_of_its_own(jobs: Jobs) -> None:
@@ -131,11 +162,16 @@ def test_study_has_a_folder_of_its_own(jobs: Jobs) -> None:
     assert folders(Path("studies/ablation")) == ["seed=0"]
 
 
-def test_interrupted_sweep_is_taken_up_again(jobs: Jobs, capsys: pytest.CaptureFixture[str]) -> None:
+def test_interrupted_sweep_is_taken_up_again(
+    jobs: Jobs, capsys: pytest.CaptureFixture[str]
+) -> None:
     jobs.failing = {1: KeyboardInterrupt()}
     assert main(["train", "-m", "seed=0,1,2"]) == 130
     shown = capsys.readouterr()
-    assert shown.out.splitlines()[-1] == "3 jobs: 1 done, 0 skipped, 0 failed, 1 interrupted, 1 not begun"
+    assert (
+        shown.out.splitlines()[-1]
+        == "3 jobs: 1 done, 0 skipped, 0 failed, 1 interrupted, 1 not begun"
+    )
     assert shown.err.splitlines()[-1] == "nerfreg: interrupted"
     assert not Path("multirun/procedural/seed=1/failed.json").exists()
     jobs.failing.clear()
@@ -150,7 +186,10 @@ def test_interrupted_sweep_is_taken_up_again(jobs: Jobs, capsys: pytest.CaptureF
         (["seed=0,1", "eval.count=0"], "eval.count=0: must be at least 1"),
         (["+reg=kl", "reg.kl.weight=-1,-2"], "reg.kl.weight=-1.0: must be finite and not negative"),
         (["scene=llff", "scene.path=nowhere", "seed=0,1"], "nowhere"),
-        (["seed=0,1", "hydra.sweep.subdir=x"], "hydra.sweep.subdir=x: run folders of a sweep are named by"),
+        (
+            ["seed=0,1", "hydra.sweep.subdir=x"],
+            "hydra.sweep.subdir=x: run folders of a sweep are named by",
+        ),
         (["seed=0", "hydra/launcher=joblibb"], "unknown choice hydra/launcher=joblibb"),
     ],
 )
@@ -182,7 +221,11 @@ def test_launcher_that_is_not_installed(jobs: Jobs, capsys: pytest.CaptureFixtur
 
 
 def test_folder_in_use_is_left_alone(tmp_path: Path) -> None:
-    with claimed(tmp_path), pytest.raises(BusyError, match="another process is at it"), claimed(tmp_path):
+    with (
+        claimed(tmp_path),
+        pytest.raises(BusyError, match="another process is at it"),
+        claimed(tmp_path),
+    ):
         pass
     with claimed(tmp_path):  # and free again
         pass
@@ -212,21 +255,32 @@ class Valley:
         (folder / "results.json").write_text(json.dumps(record))
 
 
-TUNE = ["train", "-m", "+reg=kl", "hydra/sweeper=tune", "hydra.sweeper.n_trials=4", "reg.kl.weight=interval(0.0,1.0)"]
+TUNE = [
+    "train",
+    "-m",
+    "+reg=kl",
+    "hydra/sweeper=tune",
+    "hydra.sweeper.n_trials=4",
+    "reg.kl.weight=interval(0.0,1.0)",
+]
 HELD_OUT = "scene.held_out=[0]"
 
 
 @pytest.fixture
 def valley(jobs: Jobs, monkeypatch: pytest.MonkeyPatch) -> Valley:
     pytest.importorskip("hydra_plugins.hydra_optuna_sweeper")
-    monkeypatch.setattr("nerfreg.sweeps.plan.find_lpips_weights", lambda configured: Path("weights"))
+    monkeypatch.setattr(
+        "nerfreg.sweeps.plan.find_lpips_weights", lambda configured: Path("weights")
+    )
     valley = Valley()
     monkeypatch.setattr(launch, "train", valley)
     return valley
 
 
 @pytest.mark.filterwarnings("ignore")  # Optuna's
-def test_tuning_minimizes_the_error_of_held_out_views(valley: Valley, capfd: pytest.CaptureFixture[str]) -> None:
+def test_tuning_minimizes_the_error_of_held_out_views(
+    valley: Valley, capfd: pytest.CaptureFixture[str]
+) -> None:
     assert main([*TUNE, HELD_OUT]) == 0
     assert len(valley.weights) == len({*valley.weights}) == 4
     best = Path("multirun/optimization_results.yaml").read_text()
@@ -249,7 +303,14 @@ def test_trial_that_fails_is_left_out(valley: Valley) -> None:
 
 @pytest.mark.filterwarnings("ignore")
 def test_shipped_ranges_are_those_of_the_presets_plugins(valley: Valley) -> None:
-    words = ["train", "-m", "+reg=combinerf", "hydra/sweeper=tune_combinerf", "hydra.sweeper.n_trials=1", HELD_OUT]
+    words = [
+        "train",
+        "-m",
+        "+reg=combinerf",
+        "hydra/sweeper=tune_combinerf",
+        "hydra.sweeper.n_trials=1",
+        HELD_OUT,
+    ]
     assert main(words) == 0
     best = Path("multirun/optimization_results.yaml").read_text()
     for name in ("kl", "distortion", "full_geometry", "depth_smoothness"):
@@ -283,7 +344,10 @@ def test_tuning_without_lpips_weights_is_refused(
 ) -> None:
     monkeypatch.setattr("nerfreg.sweeps.plan.find_lpips_weights", lambda configured: None)
     assert main([*TUNE, HELD_OUT]) == 2
-    assert "hydra/sweeper=tune minimizes 'average': LPIPS and average are n/a" in capsys.readouterr().err
+    assert (
+        "hydra/sweeper=tune minimizes 'average': LPIPS and average are n/a"
+        in capsys.readouterr().err
+    )
 
 
 def test_a_job_has_its_share_whatever_the_job_before_left(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -30,7 +30,9 @@ SMALL = [
 def steps(compose: Callable[..., Config], hooks: Hooks, count: int) -> Trainer:
     config = compose(*SMALL[:-1])
     scene = load_scene(config.scene)
-    trainer = Trainer(scene, hooks, config.field, config.sampler, config.optim, config.train, config.seed)
+    trainer = Trainer(
+        scene, hooks, config.field, config.sampler, config.optim, config.train, config.seed
+    )
     for _ in range(count):
         trainer.step()
     return trainer
@@ -123,24 +125,45 @@ class Infinite(Regularizer):
     [
         (Editor(), "plugin it, nerfreg_loss at step 0: rendering.depth has been edited in place"),
         (Backwards(), "plugin it, nerfreg_ray_bounds at step 0: near > far on "),
-        (Lonely(), "plugin it, nerfreg_ray_bounds at step 0: returned something else than (near, far)"),
-        (NearEditor(), "plugin it, nerfreg_ray_bounds at step 0: rays.near has been edited in place"),
+        (
+            Lonely(),
+            "plugin it, nerfreg_ray_bounds at step 0: returned something else than (near, far)",
+        ),
+        (
+            NearEditor(),
+            "plugin it, nerfreg_ray_bounds at step 0: rays.near has been edited in place",
+        ),
         (Lost(), "plugin it, nerfreg_encoder_input at step 2: positions: "),
-        (DirectionEditor(), "plugin it, nerfreg_encoder_input at step 0: samples.directions has been edited in place"),
-        (Greedy(), "plugin it, nerfreg_needs at step 0: patch_fraction=2.0: must be between 0 and 1"),
-        (Narrow(), "plugin it, nerfreg_layer: layer 0 of the density network: output: has shape (2, 63), not (2, 64)"),
+        (
+            DirectionEditor(),
+            "plugin it, nerfreg_encoder_input at step 0: samples.directions has been edited in place",
+        ),
+        (
+            Greedy(),
+            "plugin it, nerfreg_needs at step 0: patch_fraction=2.0: must be between 0 and 1",
+        ),
+        (
+            Narrow(),
+            "plugin it, nerfreg_layer: layer 0 of the density network: output: has shape (2, 63), not (2, 64)",
+        ),
         (Infinite(), "plugin it, nerfreg_loss at step 0: term 'other' is inf"),
     ],
 )
-def test_wrong_outputs_are_refused(compose: Callable[..., Config], plugin: Regularizer, message: str) -> None:
+def test_wrong_outputs_are_refused(
+    compose: Callable[..., Config], plugin: Regularizer, message: str
+) -> None:
     with pytest.raises(NerfregError) as error:
         steps(compose, CheckedHooks({"it": plugin}, every=1), 3)
     assert str(error.value).startswith(message)
 
 
 def test_several_that_change_one_thing_are_all_named(compose: Callable[..., Config]) -> None:
-    hooks = CheckedHooks({"back": Backwards(), "half": Halved(), "innocent": Infinite(weight=0.0)}, every=1)
-    with pytest.raises(NerfregError, match=r"^plugins back, half, nerfreg_ray_bounds at step 0: near > far"):
+    hooks = CheckedHooks(
+        {"back": Backwards(), "half": Halved(), "innocent": Infinite(weight=0.0)}, every=1
+    )
+    with pytest.raises(
+        NerfregError, match=r"^plugins back, half, nerfreg_ray_bounds at step 0: near > far"
+    ):
         steps(compose, hooks, 1)
 
 

@@ -24,7 +24,10 @@ def test_what_is_saved_is_loaded_and_nothing_else_is_left(tmp_path: Path) -> Non
     assert load_checkpoint(tmp_path, loaded) == State(7, 1.5, 100)
     for a, b in zip(saved.parameters(), loaded.parameters(), strict=True):
         assert torch.equal(a, b)
-    assert sorted(path.name for path in (tmp_path / "checkpoint").iterdir()) == ["field.safetensors", "state.json"]
+    assert sorted(path.name for path in (tmp_path / "checkpoint").iterdir()) == [
+        "field.safetensors",
+        "state.json",
+    ]
 
 
 def test_a_missing_checkpoint_says_so(tmp_path: Path) -> None:

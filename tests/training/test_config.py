@@ -18,7 +18,11 @@ from nerfreg.training import OptimConfig, TrainConfig
         (OptimConfig, {"lr": 1e7}, "optim.lr=10000000.0: must be between 1e-20 and 1e+06"),
         (OptimConfig, {"lr": math.inf}, "optim.lr=inf: must be between 1e-20 and 1e+06"),
         (OptimConfig, {"decay": 1e9}, "optim.decay=1000000000.0: must be between 1e-20 and 1e+06"),
-        (OptimConfig, {"beta1": 0.9, "beta2": 0.8}, "optim.beta1=0.9: its square must be below optim.beta2=0.8"),
+        (
+            OptimConfig,
+            {"beta1": 0.9, "beta2": 0.8},
+            "optim.beta1=0.9: its square must be below optim.beta2=0.8",
+        ),
         (TrainConfig, {"check_every": 0}, "train.check_every=0: must be at least 1"),
     ],
 )
@@ -31,7 +35,9 @@ def test_refused(config: type, values: dict[str, float], message: str) -> None:
 def test_a_longer_run_slows_down_more() -> None:
     assert OptimConfig(lr=0.01).rate(1.0, 1000) == pytest.approx(0.005)
     assert OptimConfig(lr=0.01).rate(1.0, 9000) == pytest.approx(0.001)  # as the authors' program
-    assert OptimConfig(lr=0.01).rate(0.5, 3000) == pytest.approx(0.005)  # a quarter at the end, half of the way
+    assert OptimConfig(lr=0.01).rate(0.5, 3000) == pytest.approx(
+        0.005
+    )  # a quarter at the end, half of the way
     assert OptimConfig(lr=0.01, decay=0.04).rate(0.5, 9000) == pytest.approx(0.002)
 
 
@@ -52,5 +58,7 @@ def test_a_step_keeps_the_limit_that_the_docstring_promises() -> None:
         weight.grad = torch.tensor([1e-10 * (b2 / b1) ** step])
         adam.step()
         moves.append(abs(weight.item() - before))
-    assert moves[-1] == pytest.approx(limit, rel=0.02)  # Adam's own correction for young averages is 1.01 then
+    assert moves[-1] == pytest.approx(
+        limit, rel=0.02
+    )  # Adam's own correction for young averages is 1.01 then
     assert max(moves) < 1.02 * limit

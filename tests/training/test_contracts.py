@@ -25,10 +25,14 @@ from nerfreg.training.contracts import (
 @pytest.fixture
 def samples() -> Samples:
     """Two rays with three samples each."""
-    return Samples(torch.zeros(2, 3, 3), torch.eye(3)[:2], torch.ones(2, 3), density_width=32, color_width=16)
+    return Samples(
+        torch.zeros(2, 3, 3), torch.eye(3)[:2], torch.ones(2, 3), density_width=32, color_width=16
+    )
 
 
-@pytest.mark.parametrize("needs", [None, Needs(), Needs(4, 1.0, "extra", 0.5), Needs(patch_size=0, neighbors="patch")])
+@pytest.mark.parametrize(
+    "needs", [None, Needs(), Needs(4, 1.0, "extra", 0.5), Needs(patch_size=0, neighbors="patch")]
+)
 def test_needs_that_can_be_met(needs: Needs | None) -> None:
     assert wrong_needs(needs) == []
 
@@ -67,7 +71,10 @@ def test_bounds_may_meet(rays: Rays) -> None:
         (
             [float("nan"), 1.0],
             [[3.0, 3.0]],
-            ["near: 1 of 2 values not finite, the first at [0]: nan", "far: has shape (1, 2), not (2,)"],
+            [
+                "near: 1 of 2 values not finite, the first at [0]: nan",
+                "far: has shape (1, 2), not (2,)",
+            ],
         ),
     ],
 )
@@ -85,8 +92,13 @@ def test_bounds_of_another_kind(rays: Rays) -> None:
 def test_samples_may_change_within_their_shapes(samples: Samples) -> None:
     assert wrong_samples(samples, samples) == []
     per_sample = torch.zeros(2, 3, 3)
-    assert wrong_samples(samples, replace(samples, directions=per_sample, density_features=0.0)) == []
-    assert wrong_samples(samples, replace(samples, positions=per_sample + 1, color_features=16.0)) == []
+    assert (
+        wrong_samples(samples, replace(samples, directions=per_sample, density_features=0.0)) == []
+    )
+    assert (
+        wrong_samples(samples, replace(samples, positions=per_sample + 1, color_features=16.0))
+        == []
+    )
 
 
 @pytest.mark.parametrize(
@@ -94,7 +106,11 @@ def test_samples_may_change_within_their_shapes(samples: Samples) -> None:
     [
         ("positions", torch.zeros(2, 4, 3), "positions: has shape (2, 4, 3), not (2, 3, 3)"),
         ("positions", None, "positions: is None, not a tensor"),
-        ("t", torch.full((2, 3), torch.nan), "t: 6 of 6 values not finite, the first at [0, 0]: nan"),
+        (
+            "t",
+            torch.full((2, 3), torch.nan),
+            "t: 6 of 6 values not finite, the first at [0, 0]: nan",
+        ),
         ("directions", torch.zeros(2, 2), "directions: has shape (2, 2), not (2, 3)"),
         ("directions", torch.zeros(2, 4, 3), "directions: has shape (2, 4, 3), not (2, 3, 3)"),
         ("density_features", 32.5, "density_features=32.5: must be None, or between 0 and 32"),
@@ -103,7 +119,9 @@ def test_samples_may_change_within_their_shapes(samples: Samples) -> None:
         ("density_width", 16, "density_width=16: is the core's, 32; leave it"),
     ],
 )
-def test_samples_that_no_field_takes(samples: Samples, name: str, value: object, wrong: str) -> None:
+def test_samples_that_no_field_takes(
+    samples: Samples, name: str, value: object, wrong: str
+) -> None:
     after = replace(samples)
     setattr(after, name, value)  # the constructor would refuse some of these here
     assert wrong_samples(samples, after) == [wrong]
@@ -139,7 +157,9 @@ def test_layers() -> None:
     assert wrong_layer(nn.Linear(3, 5), 3, 5) == []
     assert wrong_layer(None, 3, 5) == ["returned None, not a torch module"]
     assert wrong_layer(Broken(), 3, 5) == ["fails on (points, 3): ValueError: no such thing"]
-    assert wrong_layer(Infinite(), 3, 3) == ["output: 3 of 6 values not finite, the first at [1, 0]: inf"]
+    assert wrong_layer(Infinite(), 3, 3) == [
+        "output: 3 of 6 values not finite, the first at [1, 0]: inf"
+    ]
     assert wrong_layer(nn.Linear(3, 4), 3, 5) == ["output: has shape (2, 4), not (2, 5)"]
     spoiled = Linear(3, 5)
     with torch.no_grad():
@@ -188,13 +208,20 @@ def edit_to_the_same(rendering: Rendering) -> None:
     rendering.depth.mul_(1)  # autograd counts it, and refuses the backward pass
 
 
-@pytest.mark.parametrize("edit", [edit_a_view, edit_detached, edit_data, edit_numpy, edit_to_the_same])
-def test_edits_in_place(edit: Callable[[Rendering], None], untouched: tuple[Rendering, Untouched]) -> None:
+@pytest.mark.parametrize(
+    "edit", [edit_a_view, edit_detached, edit_data, edit_numpy, edit_to_the_same]
+)
+def test_edits_in_place(
+    edit: Callable[[Rendering], None], untouched: tuple[Rendering, Untouched]
+) -> None:
     rendering, watch = untouched
     rendering.depth = rendering.depth  # the same tensor is no replacement
     edit(rendering)
     # conftest's rendering stores one tensor of zeros as its depth and as near of its rays
-    assert set(watch.edits()) == {"depth has been edited in place", "rays.near has been edited in place"}
+    assert set(watch.edits()) == {
+        "depth has been edited in place",
+        "rays.near has been edited in place",
+    }
 
 
 def test_replaced_lost_and_computed_tensors(untouched: tuple[Rendering, Untouched]) -> None:

@@ -21,9 +21,17 @@ def state(trainer: Trainer) -> list[Tensor]:
     return [*trainer.field.parameters(), *trainer.average.averages, *adam]
 
 
-def train(make: Callable[..., Trainer], change: Callable[[Scene], Scene], lr: float, steps: int) -> Trainer:
+def train(
+    make: Callable[..., Trainer], change: Callable[[Scene], Scene], lr: float, steps: int
+) -> Trainer:
     lines: list[str] = []
-    words = ("+reg=combinerf", f"optim.lr={lr}", "scene.size=32", f"train.steps={steps}", "field.log2_entries=14")
+    words = (
+        "+reg=combinerf",
+        f"optim.lr={lr}",
+        "scene.size=32",
+        f"train.steps={steps}",
+        "field.log2_entries=14",
+    )
     trainer = make(*words, change=change, guard=Guard(None, lines.append))
     for _ in range(steps):
         trainer.step()

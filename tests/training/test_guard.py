@@ -29,7 +29,12 @@ SMALL = [
     "eval.lpips=false", "hydra.run.dir=run",
 ]  # fmt: skip
 WAYS = pytest.mark.parametrize(
-    "way, what", [("value", "value of faulty"), ("gradient", "gradient of faulty"), ("square", "gradient of faulty")]
+    "way, what",
+    [
+        ("value", "value of faulty"),
+        ("gradient", "gradient of faulty"),
+        ("square", "gradient of faulty"),
+    ],
 )
 
 
@@ -41,18 +46,27 @@ def in_a_folder_of_its_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> N
 def state(trainer: Trainer) -> list[Tensor]:
     """Copies of all that a step may change: weights, Adam's moments and counts, averages."""
     adam = [value for moments in trainer.optimizer.state.values() for value in moments.values()]
-    return [t.detach().clone() for t in (*trainer.field.parameters(), *adam, *trainer.average.averages)]
+    return [
+        t.detach().clone() for t in (*trainer.field.parameters(), *adam, *trainer.average.averages)
+    ]
 
 
 def same(before: list[Tensor], after: list[Tensor]) -> bool:
-    return len(before) == len(after) and all(torch.equal(a, b) for a, b in zip(before, after, strict=True))
+    return len(before) == len(after) and all(
+        torch.equal(a, b) for a, b in zip(before, after, strict=True)
+    )
 
 
 @WAYS
-def test_a_step_that_is_not_finite_changes_nothing(make: Callable[..., Trainer], way: str, what: str) -> None:
+def test_a_step_that_is_not_finite_changes_nothing(
+    make: Callable[..., Trainer], way: str, what: str
+) -> None:
     lines: list[str] = []
     trainer = make(
-        "+reg=[faulty,lipschitz]", "reg.faulty.steps=[3]", f"reg.faulty.way={way}", guard=Guard(None, lines.append)
+        "+reg=[faulty,lipschitz]",
+        "reg.faulty.steps=[3]",
+        f"reg.faulty.way={way}",
+        guard=Guard(None, lines.append),
     )
     for _ in range(3):
         trainer.step()
@@ -73,7 +87,10 @@ def test_the_first_step_of_all_may_be_the_one(make: Callable[..., Trainer]) -> N
     trainer = make("+reg=faulty", "reg.faulty.steps=[0]")
     before = [p.detach().clone() for p in trainer.field.parameters()]
     trainer.step()
-    assert same(before, [p.detach() for p in trainer.field.parameters()]) and not trainer.optimizer.state
+    assert (
+        same(before, [p.detach() for p in trainer.field.parameters()])
+        and not trainer.optimizer.state
+    )
 
 
 def test_looking_for_the_fault_costs_the_run_no_chance(make: Callable[..., Trainer]) -> None:
@@ -88,7 +105,9 @@ def test_looking_for_the_fault_costs_the_run_no_chance(make: Callable[..., Train
 
 
 def test_three_in_a_row_end_it_and_two_do_not(make: Callable[..., Trainer]) -> None:
-    trainer = make("+reg=faulty", "reg.faulty.steps=[1,2,4,5,7,8,9]", guard=Guard(None, lambda line: None))
+    trainer = make(
+        "+reg=faulty", "reg.faulty.steps=[1,2,4,5,7,8,9]", guard=Guard(None, lambda line: None)
+    )
     for _ in range(9):
         trainer.step()
     assert trainer.guard.skipped == 6
@@ -132,15 +151,29 @@ def test_a_run_that_ends_early_leaves_the_weights_of_before(
     words = ["+reg=[faulty,kl]", "reg.faulty.steps=[4,5,6]", *SMALL]
     assert main(["train", *words]) == 3
     error = capsys.readouterr().err.splitlines()
-    assert [line.split(":")[0] for line in error[:2]] == ["step 4 left out", "step 5 left out"]  # quiet or not
-    assert error[2].startswith("nerfreg: error: step 6 left out: value of faulty not finite (nan); the 3rd")
+    assert [line.split(":")[0] for line in error[:2]] == [
+        "step 4 left out",
+        "step 5 left out",
+    ]  # quiet or not
+    assert error[2].startswith(
+        "nerfreg: error: step 6 left out: value of faulty not finite (nan); the 3rd"
+    )
     assert error[2].endswith(
-        "see nerfreg check --replay " + str(Path("run", "nonfinite", "step_000006.safetensors").resolve())
+        "see nerfreg check --replay "
+        + str(Path("run", "nonfinite", "step_000006.safetensors").resolve())
     )
 
     config = compose(*words[:-1])
     scene = load_scene(config.scene)
-    trainer = Trainer(scene, Hooks(config.reg), config.field, config.sampler, config.optim, config.train, config.seed)
+    trainer = Trainer(
+        scene,
+        Hooks(config.reg),
+        config.field,
+        config.sampler,
+        config.optim,
+        config.train,
+        config.seed,
+    )
     for _ in range(4):
         trainer.step()
     field = RadianceField(config.field, scene.box, Hooks(config.reg).layer)
@@ -155,7 +188,9 @@ def test_steps_left_out_are_counted_in_the_results() -> None:
     assert main(["train", "+reg=faulty", "reg.faulty.steps=[1,3,4,6,8]", *SMALL]) == 0
     results = json.loads(Path("run", "results.json").read_text())
     assert (results["skipped_steps"], results["step"]) == (5, 10)
-    assert json.loads(Path("run", "metrics.jsonl").read_text().splitlines()[-1])["skipped_steps"] == 5
+    assert (
+        json.loads(Path("run", "metrics.jsonl").read_text().splitlines()[-1])["skipped_steps"] == 5
+    )
     # three of them are kept, the latest
     kept = sorted(path.name for path in Path("run", "nonfinite").iterdir())
     assert kept == [f"step_00000{step}.safetensors" for step in (4, 6, 8)]
@@ -169,9 +204,18 @@ def test_steps_left_out_are_counted_in_the_results() -> None:
 
 @WAYS
 def test_a_step_replays_far_from_its_run_until_the_plugin_is_repaired(
-    way: str, what: str, faulty: type, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    way: str,
+    what: str,
+    faulty: type,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
-    words = ["+reg=[faulty,combinerf]", "reg.faulty.steps=[5]", f"reg.faulty.way={way}", "reg.faulty.weight=0.5"]
+    words = [
+        "+reg=[faulty,combinerf]",
+        "reg.faulty.steps=[5]",
+        f"reg.faulty.way={way}",
+        "reg.faulty.weight=0.5",
+    ]
     assert main(["train", *words, *SMALL]) == 0
     file = Path("elsewhere.safetensors")
     shutil.move(Path("run", "nonfinite", "step_000005.safetensors"), file)

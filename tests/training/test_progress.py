@@ -28,7 +28,9 @@ class Counted:
         return 0.0123
 
 
-def run(steps: int, seconds_per_step: float, terminal: bool, term: Counted, quiet: bool = False) -> str:
+def run(
+    steps: int, seconds_per_step: float, terminal: bool, term: Counted, quiet: bool = False
+) -> str:
     clock, out = Clock(), io.StringIO()
     console = Console(file=out, force_terminal=terminal, width=160)
     with Progress(quiet=quiet, console=console, clock=clock) as progress:
@@ -53,7 +55,10 @@ def test_a_line_tells_share_rate_time_left_and_terms():
 
 def test_long_runs_speak_once_a_minute():
     # 10000 s, one step a second: after the intervals have grown to 60 s, lines are 60 s apart
-    steps = [int(line.split("step ")[1].split()[0]) for line in run(10000, 1.0, False, Counted()).splitlines()]
+    steps = [
+        int(line.split("step ")[1].split()[0])
+        for line in run(10000, 1.0, False, Counted()).splitlines()
+    ]
     gaps = [b - a for a, b in itertools.pairwise(steps)]
     assert max(gaps) == 60
     assert len(steps) < 10000 / 60 + 15

@@ -28,7 +28,11 @@ def test_the_error_falls(make: Callable[..., Trainer]) -> None:
 
 def test_every_preset_and_plugin_trains(make: Callable[..., Trainer]) -> None:
     # the whole of CombiNeRF, and the rest of the plugins together
-    for reg in ("combinerf", "[entropy,adversarial,annealing,occlusion]", "[combinerf_plus,unseen_smoothness]"):
+    for reg in (
+        "combinerf",
+        "[entropy,adversarial,annealing,occlusion]",
+        "[combinerf_plus,unseen_smoothness]",
+    ):
         trainer = make(f"+reg={reg}")
         before = [p.detach().clone() for p in trainer.field.parameters()]
         for _ in range(6):
@@ -41,9 +45,16 @@ def test_every_preset_and_plugin_trains(make: Callable[..., Trainer]) -> None:
 
 
 def test_the_worst_small_perturbation_lets_a_field_learn(make: Callable[..., Trainer]) -> None:
-    fine = ("scene.size=48", "train.rays=256", "field.levels=16", "field.finest=1024", "field.log2_entries=15")
+    fine = (
+        "scene.size=48",
+        "train.rays=256",
+        "field.levels=16",
+        "field.finest=1024",
+        "field.log2_entries=15",
+    )
     alone, perturbed = (
-        color_errors(make(*fine, "train.steps=200", *reg), 200)[-20:] for reg in ((), ("+reg=adversarial",))
+        color_errors(make(*fine, "train.steps=200", *reg), 200)[-20:]
+        for reg in ((), ("+reg=adversarial",))
     )
     assert sum(perturbed) < 1.3 * sum(alone)
 
@@ -59,10 +70,16 @@ def test_the_same_seed_gives_the_same_weights(make: Callable[..., Trainer]) -> N
     assert not torch.equal(weights(0), weights(1))
 
 
-def test_fused_and_plain_networks_train_alike(make: Callable[..., Trainer], monkeypatch: pytest.MonkeyPatch) -> None:
-    fused = color_errors(make("+reg=[lipschitz,distortion]", "reg.lipschitz.hidden_activation=gelu"), 10)
+def test_fused_and_plain_networks_train_alike(
+    make: Callable[..., Trainer], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    fused = color_errors(
+        make("+reg=[lipschitz,distortion]", "reg.lipschitz.hidden_activation=gelu"), 10
+    )
     monkeypatch.setattr(Network, "_affine", lambda self: None)
-    plain = color_errors(make("+reg=[lipschitz,distortion]", "reg.lipschitz.hidden_activation=gelu"), 10)
+    plain = color_errors(
+        make("+reg=[lipschitz,distortion]", "reg.lipschitz.hidden_activation=gelu"), 10
+    )
     assert fused == pytest.approx(plain, rel=1e-3)
 
 
@@ -82,7 +99,9 @@ def test_the_learning_rate_decays_with_the_budget(make: Callable[..., Trainer]) 
     trainer.step()
     assert trainer.optimizer.param_groups[0]["lr"] == pytest.approx(0.01)
     trainer.step()
-    assert trainer.optimizer.param_groups[0]["lr"] == pytest.approx(0.001)  # half of the budget: 0.01^(1/2)
+    assert trainer.optimizer.param_groups[0]["lr"] == pytest.approx(
+        0.001
+    )  # half of the budget: 0.01^(1/2)
 
 
 def test_the_learning_rate_falls_by_the_steps_of_the_run(make: Callable[..., Trainer]) -> None:

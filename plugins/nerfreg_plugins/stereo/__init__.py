@@ -33,13 +33,24 @@ def missed_depth(
     their extent away. Rays of which nothing is known (NaN), or no interval of which reaches there, give 0. With more
     doubt it costs less to be elsewhere: what is known may be wrong.
     """
-    weights, edges, (first, last) = single(weights), double(t_edges), double(known_depth)[:, :, None].unbind(1)
+    weights, edges, (first, last) = (
+        single(weights),
+        double(t_edges),
+        double(known_depth)[:, :, None].unbind(1),
+    )
     close = (edges[:, 1:] >= first) & (edges[:, :-1] <= last)
     off = torch.maximum(first - edges[:, 1:], edges[:, :-1] - last) / ((last - first) / 2)
-    squared = torch.where(close, 0.0, off.square()).nan_to_num(nan=torch.inf, posinf=torch.inf).to(weights.dtype)
+    squared = (
+        torch.where(close, 0.0, off.square())
+        .nan_to_num(nan=torch.inf, posinf=torch.inf)
+        .to(weights.dtype)
+    )
     passed = torch.exp(-double(tau).sum(-1)).to(weights.dtype)
     # What the rest of the ray and the background get is 1 - m, and keeps its digits where m is almost 1.
-    there, elsewhere = (weights / (1 + squared)).sum(-1), (weights / (1 + 1 / squared)).sum(-1) + passed
+    there, elsewhere = (
+        (weights / (1 + squared)).sum(-1),
+        (weights / (1 + 1 / squared)).sum(-1) + passed,
+    )
     missed = torch.log1p(elsewhere / (there + doubt))
     return torch.where(close.any(-1), missed, 0.0).sum() / max(len(weights), 1)
 
@@ -70,7 +81,9 @@ class Stereo(Regularizer):
         require_range("reg.stereo", self, sources=(1, math.inf), tolerance=(1e-3, 1e3))
 
     @hookimpl
-    def nerfreg_known_depth(self, photographs: Photographs) -> Float[Tensor, "views height width 2"]:
+    def nerfreg_known_depth(
+        self, photographs: Photographs
+    ) -> Float[Tensor, "views height width 2"]:
         return agreed_depth(photographs, self.width, self.window, self.sources, self.tolerance)
 
     @hookimpl
@@ -78,7 +91,9 @@ class Stereo(Regularizer):
         known = rendering.rays.known_depth
         if known is None:
             return {}
-        weights, tau, edges = (x[: len(known)] for x in (rendering.weights, rendering.tau, rendering.t_edges))
+        weights, tau, edges = (
+            x[: len(known)] for x in (rendering.weights, rendering.tau, rendering.t_edges)
+        )
         return {"stereo": missed_depth(weights, tau, edges, known, self.doubt)}
 
     @property

@@ -75,7 +75,18 @@ def patch_match(views, there, nearest, farthest, guesses, sweeps, changes, seed,
                 x = column if forth else width - 1 - column
                 if there[y, x]:
                     _look(views, y, x, window)
-                    _hear(views, y, x, window, nearest, farthest, there, -1 if forth else 1, planes, cost)
+                    _hear(
+                        views,
+                        y,
+                        x,
+                        window,
+                        nearest,
+                        farthest,
+                        there,
+                        -1 if forth else 1,
+                        planes,
+                        cost,
+                    )
                     size = np.float32(LARGEST * 0.5**sweep)
                     _change(views, y, x, window, nearest, farthest, changes, size, planes, cost)
 
@@ -88,7 +99,17 @@ def _begin(views, y, x, window, nearest, farthest, guesses, planes, cost):
     cost[y, x] = _cost(views, y, x, window, w, p, q) if w > 0 else 2 * NO_MATCH
     for _ in range(guesses):
         w = farthest + (nearest - farthest) * np.float32(np.random.random())
-        _try(views, y, x, window, w, np.float32(np.random.normal()), np.float32(np.random.normal()), planes, cost)
+        _try(
+            views,
+            y,
+            x,
+            window,
+            w,
+            np.float32(np.random.normal()),
+            np.float32(np.random.normal()),
+            planes,
+            cost,
+        )
 
 
 @no_type_check
@@ -151,7 +172,10 @@ def _look(views, y, x, window):
     side = 2 * views.reach + 1
     weights[:] = 0
     for k in range(len(weights)):
-        row, column = y + (k // side - views.reach) * views.step, x + (k % side - views.reach) * views.step
+        row, column = (
+            y + (k // side - views.reach) * views.step,
+            x + (k % side - views.reach) * views.step,
+        )
         if 0 <= row < height and 0 <= column < width:
             unlike = np.float32(0)
             for c in range(channels):
@@ -220,8 +244,12 @@ def _see(views, s, y, x, window, w, p, q):
             u -= left
             v -= top
             for c in range(channels):
-                upper = others[s, top, left, c] + u * (others[s, top, right, c] - others[s, top, left, c])
-                lower = others[s, bottom, left, c] + u * (others[s, bottom, right, c] - others[s, bottom, left, c])
+                upper = others[s, top, left, c] + u * (
+                    others[s, top, right, c] - others[s, top, left, c]
+                )
+                lower = others[s, bottom, left, c] + u * (
+                    others[s, bottom, right, c] - others[s, bottom, left, c]
+                )
                 seen[c, k] = upper + v * (lower - upper)
 
 

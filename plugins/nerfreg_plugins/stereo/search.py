@@ -28,7 +28,11 @@ NEAREST = 1e-3
 
 
 def agreed_depth(
-    photographs: Photographs, width: int = 512, window: int = 9, sources: int = 4, tolerance: float = 1.0
+    photographs: Photographs,
+    width: int = 512,
+    window: int = 9,
+    sources: int = 4,
+    tolerance: float = 1.0,
 ) -> Float[Tensor, "views height width 2"]:
     """Between which distances along the ray of each pixel there is something, (V, H, W, 2).
 
@@ -53,7 +57,12 @@ def agreed_depth(
     inverse = torch.where(search.cost < BELIEVED, search.planes[..., 0], torch.nan)
     inverse = torch.stack([whole.agreed(view, inverse, gap) for view in range(len(whole))])
     inverse = torch.stack([inverse + gap, (inverse - gap).clamp_min(limits[1])], dim=-1)
-    return torch.stack([_along_rays(inverse[view], photographs.cameras, view, factor) for view in range(len(whole))])
+    return torch.stack(
+        [
+            _along_rays(inverse[view], photographs.cameras, view, factor)
+            for view in range(len(whole))
+        ]
+    )
 
 
 class _Views:
@@ -73,12 +82,16 @@ class _Views:
             self.opaque = self.images[..., 3] > 0.5
         self.cameras, self.factor = photographs.cameras, factor
         positions = self.cameras.positions
-        self.sources = torch.cdist(positions, positions).argsort(stable=True)[:, 1 : sources + 1].tolist()
+        self.sources = (
+            torch.cdist(positions, positions).argsort(stable=True)[:, 1 : sources + 1].tolist()
+        )
 
     def __len__(self) -> int:
         return len(self.images)
 
-    def seen_from(self, view: int, source: int) -> tuple[Float[Tensor, "height width 3"], Float[Tensor, " 3"]]:
+    def seen_from(
+        self, view: int, source: int
+    ) -> tuple[Float[Tensor, "height width 3"], Float[Tensor, " 3"]]:
         """(ahead, shift): the point of a pixel at inverse depth w is at (x / z, y / z) of (x, y, z) = ahead + w shift.
 
         In reduced pixels of the source. z / w is the depth there. Depths are along the optical axes.
@@ -89,8 +102,13 @@ class _Views:
         directions = directions / (directions @ self.cameras.axes[view])[:, None]
         apart = self.cameras.positions[view] - self.cameras.positions[source]
         right, up, back = self.cameras.poses[source, :, :3].unbind(1)
-        focal, center = self.cameras.focal[source] / self.factor, self.cameras.center[source] / self.factor
-        projection = torch.stack([focal[0] * right - center[0] * back, -focal[1] * up - center[1] * back, -back])
+        focal, center = (
+            self.cameras.focal[source] / self.factor,
+            self.cameras.center[source] / self.factor,
+        )
+        projection = torch.stack(
+            [focal[0] * right - center[0] * back, -focal[1] * up - center[1] * back, -back]
+        )
         return (directions @ projection.T).view(height, width, 3), projection @ apart
 
     def shift(self, nearest: float, farthest: float) -> float:
@@ -183,13 +201,17 @@ def _place(point: Float[Tensor, "*many 3"]) -> Float[Tensor, "*many 2"]:
     return point[..., :2] / torch.where(point[..., 2:] > 0, point[..., 2:], torch.nan)
 
 
-def _looked_up(image: Float[Tensor, "height width *more"], places: Float[Tensor, "*many 2"]) -> Tensor:
+def _looked_up(
+    image: Float[Tensor, "height width *more"], places: Float[Tensor, "*many 2"]
+) -> Tensor:
     """What the pixels at places (x, y) hold; NaN outside."""
     height, width = image.shape[:2]
     x, y = places.floor().nan_to_num(-1).unbind(-1)
     inside = (x >= 0) & (x < width) & (y >= 0) & (y < height)
     held = image[torch.where(inside, y, 0).long(), torch.where(inside, x, 0).long()]
-    return torch.where(inside.view(*inside.shape, *[1] * (held.dim() - inside.dim())), held, torch.nan)
+    return torch.where(
+        inside.view(*inside.shape, *[1] * (held.dim() - inside.dim())), held, torch.nan
+    )
 
 
 def _without_lens(photographs: Photographs) -> Photographs:
@@ -201,14 +223,24 @@ def _without_lens(photographs: Photographs) -> Photographs:
     middles = _pixels(height, width).view(-1, 2) + 0.5
     size = torch.tensor([width, height])
     grid = []
-    for focal, center, distortion in zip(cameras.focal, cameras.center, cameras.distortion, strict=True):
-        bent = lens.distort((middles - center) / focal, distortion.expand(len(middles), 5)) * focal + center
+    for focal, center, distortion in zip(
+        cameras.focal, cameras.center, cameras.distortion, strict=True
+    ):
+        bent = (
+            lens.distort((middles - center) / focal, distortion.expand(len(middles), 5)) * focal
+            + center
+        )
         grid.append((2 * bent / size - 1).view(height, width, 2))
     images = functional.grid_sample(
-        photographs.images.permute(0, 3, 1, 2), torch.stack(grid), padding_mode="border", align_corners=False
+        photographs.images.permute(0, 3, 1, 2),
+        torch.stack(grid),
+        padding_mode="border",
+        align_corners=False,
     )
     straight = dataclasses.replace(cameras, distortion=torch.zeros_like(cameras.distortion))
-    return dataclasses.replace(photographs, cameras=straight, images=images.permute(0, 2, 3, 1).contiguous())
+    return dataclasses.replace(
+        photographs, cameras=straight, images=images.permute(0, 2, 3, 1).contiguous()
+    )
 
 
 def _along_rays(
@@ -217,6 +249,9 @@ def _along_rays(
     """Distances along the rays of all pixels of a photograph, from inverse depths without its lens and reduced."""
     directions = cameras.image_rays(view)[1]
     local = directions @ cameras.poses[view, :, :3]
-    straight = local[:, :2] * torch.tensor([1.0, -1.0]) / -local[:, 2:] * cameras.focal[view] + cameras.center[view]
+    straight = (
+        local[:, :2] * torch.tensor([1.0, -1.0]) / -local[:, 2:] * cameras.focal[view]
+        + cameras.center[view]
+    )
     found = _looked_up(inverse_depth, straight / factor)
     return (1 / (found * -local[:, 2:])).view(cameras.height, cameras.width, 2)

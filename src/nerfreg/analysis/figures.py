@@ -33,12 +33,15 @@ class Style:
 def styles(labels: Sequence[str]) -> list[Style]:
     """A colour and a marker for each."""
     return [
-        Style(label, PALETTE[index % len(PALETTE)], MARKERS[index % len(MARKERS)]) for index, label in enumerate(labels)
+        Style(label, PALETTE[index % len(PALETTE)], MARKERS[index % len(MARKERS)])
+        for index, label in enumerate(labels)
     ]
 
 
 @contextmanager
-def panels(rows: int, columns: int, width: float, height: float) -> Iterator[tuple[Figure, list[list[Axes]]]]:
+def panels(
+    rows: int, columns: int, width: float, height: float
+) -> Iterator[tuple[Figure, list[list[Axes]]]]:
     """A figure of log-log panels, its size in inches, in the style of all benches, which holds inside the block."""
     from matplotlib import rc_context
     from matplotlib.figure import Figure
@@ -75,8 +78,18 @@ def slope(panel: Axes, place: tuple[float, float], factor: int, power: int, labe
     low, high = panel.get_xlim()
     x, y = low * (high / low) ** place[0], place[1]
     end = (x * factor, y * float(factor) ** power)
-    panel.plot((x, end[0]), (y, end[1]), color=GUIDE, linestyle=(0, (4, 3)), linewidth=1.1, zorder=1)
-    panel.annotate(label, end, xytext=(3, 0), textcoords="offset points", color=GUIDE, fontsize=8.5, va="center")
+    panel.plot(
+        (x, end[0]), (y, end[1]), color=GUIDE, linestyle=(0, (4, 3)), linewidth=1.1, zorder=1
+    )
+    panel.annotate(
+        label,
+        end,
+        xytext=(3, 0),
+        textcoords="offset points",
+        color=GUIDE,
+        fontsize=8.5,
+        va="center",
+    )
 
 
 def save(figure: Figure, stem: Path) -> list[Path]:

@@ -29,7 +29,10 @@ def front(costs: Sequence[tuple[float | None, float | None]]) -> list[int]:
     known = [
         (first, second, index)
         for index, (first, second) in enumerate(costs)
-        if first is not None and second is not None and math.isfinite(first) and math.isfinite(second)
+        if first is not None
+        and second is not None
+        and math.isfinite(first)
+        and math.isfinite(second)
     ]
     chosen: list[tuple[float, float, int]] = []
     for first, second, index in sorted(known):
@@ -38,7 +41,9 @@ def front(costs: Sequence[tuple[float | None, float | None]]) -> list[int]:
     return [index for _, _, index in chosen]
 
 
-def draw_pareto(runs: Sequence[RunRecord], styles: Mapping[str, Style], title: str, stem: Path) -> list[Path]:
+def draw_pareto(
+    runs: Sequence[RunRecord], styles: Mapping[str, Style], title: str, stem: Path
+) -> list[Path]:
     """Final average error and PSNR against training time for the methods of one setting; PNG and SVG.
 
     The front is a step line; what lies behind it is faint. Bars: smallest to largest over seeds.
@@ -48,13 +53,23 @@ def draw_pareto(runs: Sequence[RunRecord], styles: Mapping[str, Style], title: s
     with panels(2, 2 * PANEL[0], tall + 0.2) as (figure, axes):
         for panel, metric in zip(axes, LABELS, strict=True):
             points = {method: final_point(own, metric) for method, own in methods.items()}
-            _draw_panel(panel, {method: point for method, point in points.items() if point}, styles, metric, tall)
+            _draw_panel(
+                panel,
+                {method: point for method, point in points.items() if point},
+                styles,
+                metric,
+                tall,
+            )
         figure.suptitle(title, fontsize=9.5, color=INK)
         return save(figure, stem)
 
 
 def _draw_panel(
-    panel: Axes, points: Mapping[str, Point], styles: Mapping[str, Style], metric: Metric, tall: float
+    panel: Axes,
+    points: Mapping[str, Point],
+    styles: Mapping[str, Style],
+    metric: Metric,
+    tall: float,
 ) -> None:
     panel.set_ylabel(LABELS[metric])
     if not points:
@@ -64,18 +79,33 @@ def _draw_panel(
         return
     sign = -1 if metric == "psnr" else 1
     names = sorted(points, key=lambda method: sign * points[method].value)
-    best = [names[index] for index in front([(points[name].seconds, sign * points[name].value) for name in names])]
+    best = [
+        names[index]
+        for index in front([(points[name].seconds, sign * points[name].value) for name in names])
+    ]
     named = {*best, *names[: max(NAMES - len(best), 0)]}
     labels: list[Label] = []
     for method, point in points.items():
         leads = method in best
-        color = styles[method].color if leads and not styles[method].faint else GUIDE if leads else FAINT
-        spread = [[point.value - point.low], [point.high - point.value]] if point.high > point.low else None
+        color = (
+            styles[method].color
+            if leads and not styles[method].faint
+            else GUIDE
+            if leads
+            else FAINT
+        )
+        spread = (
+            [[point.value - point.low], [point.high - point.value]]
+            if point.high > point.low
+            else None
+        )
         panel.errorbar(
             point.seconds, point.value, spread, fmt=styles[method].marker, color=color, markeredgecolor="white",
             markeredgewidth=0.6, elinewidth=0.9, capsize=1.5, zorder=4 if leads else 3,
         )  # fmt: skip
-        raised = 0.8 * sign if leads and method != best[-1] else 0.0  # off the line that goes on to the right
+        raised = (
+            0.8 * sign if leads and method != best[-1] else 0.0
+        )  # off the line that goes on to the right
         if method not in named:
             continue
         labels.append(Label(method, point.seconds, point.value, INK if leads else GUIDE, raised))

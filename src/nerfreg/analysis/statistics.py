@@ -43,7 +43,9 @@ def student_quantile(error: float, freedom: int) -> float:
     """
 
     def tail(t: float) -> float:
-        return float(mpmath.betainc(freedom / 2, 0.5, 0, freedom / (freedom + t * t), regularized=True))
+        return float(
+            mpmath.betainc(freedom / 2, 0.5, 0, freedom / (freedom + t * t), regularized=True)
+        )
 
     low, high = 0.0, 1.0
     while tail(high) > error:

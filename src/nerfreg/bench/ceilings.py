@@ -42,8 +42,14 @@ def measure_ceilings(square: int, copy_mb: int, repetitions: int = 5) -> Ceiling
     torch.set_num_threads(count)
     try:
         return Ceilings(
-            count * products * product_flop(ROWS, WIDTH, WIDTH) / _best(on_every_thread, repetitions) / 1e9,
-            product_flop(square, square, square) / _best(lambda: torch.mm(a, b, out=product), repetitions) / 1e9,
+            count
+            * products
+            * product_flop(ROWS, WIDTH, WIDTH)
+            / _best(on_every_thread, repetitions)
+            / 1e9,
+            product_flop(square, square, square)
+            / _best(lambda: torch.mm(a, b, out=product), repetitions)
+            / 1e9,
             2 * copy_mb * 2**20 / _best(lambda: target.copy_(source), repetitions) / 1e9,
         )
     finally:
@@ -60,7 +66,11 @@ def step_flop(field: RadianceField, points: float, colors: float) -> float:
 
     Matrix products alone, and as if every level of the grid were alive.
     """
-    return PASSES * (points * _weights(field.density_network) + colors * _weights(field.color_network)) * 2
+    return (
+        PASSES
+        * (points * _weights(field.density_network) + colors * _weights(field.color_network))
+        * 2
+    )
 
 
 def _weights(network: nn.Module) -> int:

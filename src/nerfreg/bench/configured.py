@@ -35,7 +35,9 @@ def compose(overrides: Sequence[str]) -> Config:
     except COMPOSITION_ERRORS as error:
         raise NerfregError(explain(error, plugins, overrides)) from error
     if config.train.steps is None:
-        raise NerfregError("train.steps=null: set it; seconds alone do not say which step stands where in the budget")
+        raise NerfregError(
+            "train.steps=null: set it; seconds alone do not say which step stands where in the budget"
+        )
     return config
 
 
@@ -43,7 +45,9 @@ def prepare_cpu(config: Config) -> None:
     """Set the number of threads. Raises NerfregError where the configuration means another device."""
     device = prepare(config)
     if device.type != "cpu":
-        raise NerfregError(f"device={config.device}: nerfreg bench measures the CPU; set device=cpu")
+        raise NerfregError(
+            f"device={config.device}: nerfreg bench measures the CPU; set device=cpu"
+        )
 
 
 def make_trainer(config: Config, scene: Scene, hooks: Hooks | None = None) -> Trainer:

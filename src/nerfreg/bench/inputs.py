@@ -44,7 +44,9 @@ class Input:
         places = _ascending(len(patches), samples, generator).repeat_interleave(PATCH**2, dim=0)
         surface = 0.35 + 0.3 * torch.rand(len(patches), 1, generator=generator, dtype=torch.float64)
         surface = surface.repeat_interleave(PATCH**2, dim=0)
-        surface = surface + 0.2 * (torch.rand(rays, 1, generator=generator, dtype=torch.float64) - 0.5)
+        surface = surface + 0.2 * (
+            torch.rand(rays, 1, generator=generator, dtype=torch.float64) - 0.5
+        )
         tau = self.thickness(surface, (places[:, 1:] + places[:, :-1]) / 2)
         density = tau / (places.diff(dim=1) * (self.far - self.near))
         t_edges = (self.near + places * (self.far - self.near)).to(dtype)
@@ -54,7 +56,9 @@ class Input:
         return _rendering(density.to(dtype), t_edges, known_depth, patches, generator)
 
 
-def _bump(surface: Float[Tensor, "rays 1"], middle: Float[Tensor, "rays samples"]) -> Float[Tensor, "rays samples"]:
+def _bump(
+    surface: Float[Tensor, "rays 1"], middle: Float[Tensor, "rays samples"]
+) -> Float[Tensor, "rays samples"]:
     """Thin everywhere, thicker around the surface; about 2 in all, however many intervals."""
     return (0.2 + 8 * torch.exp(-(((middle - surface) / 0.1) ** 2) / 2)) / middle.shape[1]
 
@@ -62,10 +66,14 @@ def _bump(surface: Float[Tensor, "rays 1"], middle: Float[Tensor, "rays samples"
 def _wall(haze: float, wall: float, behind: float) -> Callable[[Tensor, Tensor], Tensor]:
     """One interval as thick as a wall, haze before it and something behind it, in the thickness of an interval."""
 
-    def thickness(surface: Float[Tensor, "rays 1"], middle: Float[Tensor, "rays samples"]) -> Tensor:
+    def thickness(
+        surface: Float[Tensor, "rays 1"], middle: Float[Tensor, "rays samples"]
+    ) -> Tensor:
         at = (middle - surface).abs().argmin(dim=1, keepdim=True)
         index = torch.arange(middle.shape[1])
-        return torch.where(index < at, haze, torch.where(index == at, wall, behind)).to(middle.dtype)
+        return torch.where(index < at, haze, torch.where(index == at, wall, behind)).to(
+            middle.dtype
+        )
 
     return thickness
 
@@ -73,8 +81,16 @@ def _wall(haze: float, wall: float, behind: float) -> Callable[[Tensor, Tensor],
 INPUTS = (
     Input("benign", "smooth weights, t from 2 to 6", 2.0, 6.0, _bump),
     Input("packed", "the same, t from 10000 to 10001", 10000.0, 10001.0, _bump),
-    Input("peaked", "one thick interval in haze", 2.0, 6.0, _wall(haze=1e-6, wall=25.0, behind=1e-6)),
-    Input("underflow", "walls, weights behind them vanish", 2.0, 6.0, _wall(haze=1e-9, wall=30.0, behind=30.0)),
+    Input(
+        "peaked", "one thick interval in haze", 2.0, 6.0, _wall(haze=1e-6, wall=25.0, behind=1e-6)
+    ),
+    Input(
+        "underflow",
+        "walls, weights behind them vanish",
+        2.0,
+        6.0,
+        _wall(haze=1e-9, wall=30.0, behind=30.0),
+    ),
 )
 
 

@@ -77,9 +77,13 @@ def run(folder: Path, sizes: Sizes) -> Outcome:
         if not measured and info.cls is not None and "loss" in info.hook_points:
             left_out.append(info.name)
     if not points:
-        raise NerfregError("bench losses: no installed plugin ships exact values of its loss; see `nerfreg plugins`")
+        raise NerfregError(
+            "bench losses: no installed plugin ships exact values of its loss; see `nerfreg plugins`"
+        )
     print_table(points, left_out, sizes)
-    return Outcome([write_csv(folder / "losses.csv", points), *draw(points, sizes, folder / "losses")])
+    return Outcome(
+        [write_csv(folder / "losses.csv", points), *draw(points, sizes, folder / "losses")]
+    )
 
 
 def measure(info: PluginInfo, sizes: Sizes) -> list[Point]:
@@ -97,7 +101,9 @@ def measure(info: PluginInfo, sizes: Sizes) -> list[Point]:
 
 
 def _measure(name: str, hooks: Hooks, given: Input, samples: int, sizes: Sizes) -> list[Point]:
-    step = Step(50, 100, 0.5, torch.Generator().manual_seed(0), (given.near, given.far), _refuse, _refuse)
+    step = Step(
+        50, 100, 0.5, torch.Generator().manual_seed(0), (given.near, given.far), _refuse, _refuse
+    )
     few, many = given.rendering(sizes.exact_rays, samples), given.rendering(sizes.rays, samples)
 
     def own(rendering: Rendering) -> Float[Tensor, ""]:
@@ -111,7 +117,9 @@ def _measure(name: str, hooks: Hooks, given: Input, samples: int, sizes: Sizes) 
         return []
     rivals = [rival for rival in RIVALS.get(name, ()) if samples <= (rival.most_samples or samples)]
     forms = {PLUGIN: own} | {rival.name: rival.loss for rival in rivals}
-    seconds = median_seconds([partial(forward_and_backward, loss, many) for loss in forms.values()], sizes.repetitions)
+    seconds = median_seconds(
+        [partial(forward_and_backward, loss, many) for loss in forms.values()], sizes.repetitions
+    )
     truth = float(sum(exact.values()))
     points = []
     for (form, loss), time in zip(forms.items(), seconds, strict=True):

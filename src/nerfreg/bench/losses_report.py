@@ -33,7 +33,9 @@ def print_table(points: Sequence[Point], left_out: Sequence[str], sizes: Sizes) 
         f"form was run with; {CONDITIONS.format(repetitions=sizes.repetitions)}."
     )
     if left_out:
-        caption += f" Without a term of a rendering alone, or without exact values: {', '.join(left_out)}."
+        caption += (
+            f" Without a term of a rendering alone, or without exact values: {', '.join(left_out)}."
+        )
     table = new_table("Losses: error by input, and run time", caption)
     table.add_column("plugin", no_wrap=True)
     table.add_column("form", no_wrap=True)
@@ -41,7 +43,9 @@ def print_table(points: Sequence[Point], left_out: Sequence[str], sizes: Sizes) 
         table.add_column(header, justify="right", no_wrap=True)
     for plugin, form in dict.fromkeys((point.plugin, point.form) for point in points):
         of_form = [point for point in points if (point.plugin, point.form) == (plugin, form)]
-        worst = [max(p.relative_error for p in of_form if p.input == given.name) for given in INPUTS]
+        worst = [
+            max(p.relative_error for p in of_form if p.input == given.name) for given in INPUTS
+        ]
         most = max(point.samples for point in of_form)
         time = _typical([point for point in of_form if point.samples == most])
         table.add_row(plugin, form, *(f"{error:.0e}" for error in worst), str(most), f"{time:.3g}")
@@ -53,31 +57,50 @@ def draw(points: Sequence[Point], sizes: Sizes, stem: Path) -> list[Path]:
     plugins = list(dict.fromkeys(point.plugin for point in points))
     # Those with a form to compare with come first: they are what the plot is about.
     plugins.sort(key=lambda name: name not in RIVALS)
-    forms = list(dict.fromkeys(point.form for name in plugins for point in points if point.plugin == name))
-    named = dict(zip(forms, styles(["the plugin" if form == PLUGIN else form for form in forms]), strict=True))
-    with panels(len(INPUTS) + 1, len(plugins), max(2.25 * len(plugins), 7.0), 11.0) as (figure, axes):
+    forms = list(
+        dict.fromkeys(point.form for name in plugins for point in points if point.plugin == name)
+    )
+    named = dict(
+        zip(
+            forms, styles(["the plugin" if form == PLUGIN else form for form in forms]), strict=True
+        )
+    )
+    with panels(len(INPUTS) + 1, len(plugins), max(2.25 * len(plugins), 7.0), 11.0) as (
+        figure,
+        axes,
+    ):
         for column, plugin in enumerate(plugins):
             axes[0][column].set_title(plugin)
             axes[-1][column].set_xlabel("samples per ray")
             for form, style in named.items():
                 own = [point for point in points if (point.plugin, point.form) == (plugin, form)]
                 for row, given in enumerate(INPUTS):
-                    _errors(axes[row][column], [point for point in own if point.input == given.name], style)
+                    _errors(
+                        axes[row][column],
+                        [point for point in own if point.input == given.name],
+                        style,
+                    )
                 _times(axes[-1][column], own, style)
         for row, given in enumerate(INPUTS):
             axes[row][0].set_ylabel(f"{given.name}\nrelative error")
         axes[-1][0].set_ylabel("run time (ms)\nforward and backward")
         _frame(axes, points, sizes)
         for plugin, panel in zip(plugins, axes[-1], strict=True):
-            _slopes(panel, [point.milliseconds for point in points if point.plugin == plugin], plugin)
+            _slopes(
+                panel, [point.milliseconds for point in points if point.plugin == plugin], plugin
+            )
         about = "; ".join(f"{given.name}: {given.about}" for given in INPUTS)
         about += ". Errors beyond $10^{-9}$ and $10^3$ are drawn there."
-        title = (
-            f"Losses in float32: relative error on {len(INPUTS)} inputs, run time for {sizes.rays} rays on one thread"
-        )
+        title = f"Losses in float32: relative error on {len(INPUTS)} inputs, run time for {sizes.rays} rays on one thread"
         figure.suptitle("\n".join([title, *wrap(about, 110)]), fontsize=11.5)
         legend = _legend(axes[-1])
-        figure.legend(legend.values(), legend.keys(), loc="outside lower center", ncols=len(legend), frameon=False)
+        figure.legend(
+            legend.values(),
+            legend.keys(),
+            loc="outside lower center",
+            ncols=len(legend),
+            frameon=False,
+        )
         return save(figure, stem)
 
 
@@ -88,14 +111,25 @@ def _errors(panel: Axes, points: Sequence[Point], style: Style) -> None:
 
 def _times(panel: Axes, points: Sequence[Point], style: Style) -> None:
     counts = sorted({point.samples for point in points})
-    _line(panel, counts, [_typical([point for point in points if point.samples == n]) for n in counts], style)
+    _line(
+        panel,
+        counts,
+        [_typical([point for point in points if point.samples == n]) for n in counts],
+        style,
+    )
 
 
 def _line(panel: Axes, x: Sequence[int], y: Sequence[float], style: Style) -> None:
     if x:
         own = style.label.startswith("the ")
         panel.plot(
-            x, y, color=style.color, marker=style.marker, label=style.label, markeredgewidth=0, zorder=3 if own else 2
+            x,
+            y,
+            color=style.color,
+            marker=style.marker,
+            label=style.label,
+            markeredgewidth=0,
+            zorder=3 if own else 2,
         )
 
 
@@ -114,7 +148,9 @@ def _frame(axes: Sequence[Sequence[Axes]], points: Sequence[Point], sizes: Sizes
             else:
                 panel.set_ylim(LOWEST / 3, HIGHEST * 3)
                 panel.axhline(ROUNDING, color=GUIDE, linestyle=(0, (4, 3)), linewidth=1.1, zorder=1)
-    label = axes[0][0].annotate("float32 rounding", (1, 2 * ROUNDING), xycoords=("axes fraction", "data"))
+    label = axes[0][0].annotate(
+        "float32 rounding", (1, 2 * ROUNDING), xycoords=("axes fraction", "data")
+    )
     label.set(color=GUIDE, fontsize=8.5, horizontalalignment="right", verticalalignment="bottom")
 
 

@@ -78,7 +78,9 @@ class Medium(ABC):
 
         distance = mp.quad(transmitted, pieces) - passed
         spread = mp.quad(lambda t: transmitted(t) * mp.exp(wave_number * t), pieces)
-        return Moments(-mp.expm1(-self.thickness(mp.one)), distance, 1 - passed + wave_number * spread)
+        return Moments(
+            -mp.expm1(-self.thickness(mp.one)), distance, 1 - passed + wave_number * spread
+        )
 
 
 @cache
@@ -86,7 +88,9 @@ def exact(medium: Medium) -> Exact:
     """What a ray through the medium shows."""
     with mp.workdps(DIGITS):
         mass, distance, wave = medium.moments()
-        red, green, blue = ((mass + mp.re(wave * mp.expjpi(2 * mp.mpf(phase)))) / 2 for phase in PHASES)
+        red, green, blue = (
+            (mass + mp.re(wave * mp.expjpi(2 * mp.mpf(phase)))) / 2 for phase in PHASES
+        )
         return Exact(float(mass), float(distance / mass), (float(red), float(green), float(blue)))
 
 
@@ -105,10 +109,14 @@ class Walls(Medium):
     walls: tuple[Wall, ...]
 
     def density(self, t: Float[Tensor, "*points"]) -> Float[Tensor, "*points"]:
-        return sum(((t >= wall.start) & (t < wall.end)) * wall.density for wall in self.walls) + torch.zeros_like(t)
+        return sum(
+            ((t >= wall.start) & (t < wall.end)) * wall.density for wall in self.walls
+        ) + torch.zeros_like(t)
 
     def thickness(self, t: Any) -> Any:
-        return mp.fsum(wall.density * max(min(t, wall.end) - mp.mpf(wall.start), 0) for wall in self.walls)
+        return mp.fsum(
+            wall.density * max(min(t, wall.end) - mp.mpf(wall.start), 0) for wall in self.walls
+        )
 
     def breaks(self) -> tuple[float, ...]:
         return tuple(sorted({t for wall in self.walls for t in wall[:2] if 0 < t < 1}))
@@ -121,7 +129,9 @@ class Walls(Medium):
             decay = density - 2j * mp.pi
             mass += reaching * (1 - passed)
             distance += reaching * (start + 1 / density - (end + 1 / density) * passed)
-            wave += reaching * density * (mp.expjpi(2 * start) - mp.expjpi(2 * end) * passed) / decay
+            wave += (
+                reaching * density * (mp.expjpi(2 * start) - mp.expjpi(2 * end) * passed) / decay
+            )
         return Moments(mass, distance, wave)
 
 
@@ -197,6 +207,9 @@ MEDIA: tuple[Medium, ...] = (
         stiff=True,
         slack=SLACK,
         # The first lets half of the light through.
-        walls=(Wall(0.3, 0.3 + SHELL_THICKNESS, 768 * math.log(2)), Wall(0.7, 0.7 + SHELL_THICKNESS, 1e5)),
+        walls=(
+            Wall(0.3, 0.3 + SHELL_THICKNESS, 768 * math.log(2)),
+            Wall(0.7, 0.7 + SHELL_THICKNESS, 1e5),
+        ),
     ),
 )

@@ -62,7 +62,9 @@ class WithoutManager(Hooks):
     def needs(self, step: Step) -> Needs:
         return Needs()
 
-    def layer(self, network: str, index: int, in_features: int, out_features: int, activation: str) -> nn.Module:
+    def layer(
+        self, network: str, index: int, in_features: int, out_features: int, activation: str
+    ) -> nn.Module:
         return Linear(in_features, out_features, activation)
 
     def ray_bounds(self, rays: Rays, step: Step) -> tuple[Tensor, Tensor]:
@@ -85,7 +87,9 @@ class Variant:
 
     def trainer(self, overrides: Sequence[str], scene: Scene) -> Trainer:
         config = compose((*overrides, f"scene.layout={scene.layout}", *self.choice))
-        return make_trainer(config, scene, WithoutManager() if self.name == NO_MANAGER else Hooks(config.reg))
+        return make_trainer(
+            config, scene, WithoutManager() if self.name == NO_MANAGER else Hooks(config.reg)
+        )
 
 
 @dataclass(frozen=True)
@@ -114,7 +118,9 @@ def run(folder: Path, sizes: Sizes, overrides: tuple[str, ...]) -> Outcome:
     from nerfreg.bench.overhead_report import draw, print_table, summarize
 
     if chosen := next((word for word in overrides if word.lstrip("+~").startswith("reg=")), None):
-        raise NerfregError(f"{chosen}: bench overhead selects plugins itself; write --only NAME,NAME for some of them")
+        raise NerfregError(
+            f"{chosen}: bench overhead selects plugins itself; write --only NAME,NAME for some of them"
+        )
     keep_large_blocks()
     config = compose((*sizes.defaults, *overrides))
     prepare_cpu(config)
@@ -124,19 +130,27 @@ def run(folder: Path, sizes: Sizes, overrides: tuple[str, ...]) -> Outcome:
     with Console(stderr=True).status("") as status:
         for first in range(0, len(variants), sizes.together):
             group = variants[first : first + sizes.together]
-            status.update(f"{', '.join(variant.name for variant in group)} ({first} of {len(variants)} done)")
+            status.update(
+                f"{', '.join(variant.name for variant in group)} ({first} of {len(variants)} done)"
+            )
             points += measure(group, (*sizes.defaults, *overrides), scene, sizes)
             gc.collect()
     summary = summarize(points)
     print_table(summary, config, scene.name, sizes)
-    return Outcome([write_csv(folder / "overhead.csv", points), *draw(summary, folder / "overhead")])
+    return Outcome(
+        [write_csv(folder / "overhead.csv", points), *draw(summary, folder / "overhead")]
+    )
 
 
 def choose(only: Sequence[str]) -> list[Variant]:
     """All variants, or those that are named. Raises NerfregError for names that are none."""
     plugins = installed()
     names = [plugin.name for plugin in plugins if plugin.cls is not None]
-    presets = [name for name in options("reg", plugins) if name not in {*(p.name for p in plugins), VANILLA}]
+    presets = [
+        name
+        for name in options("reg", plugins)
+        if name not in {*(p.name for p in plugins), VANILLA}
+    ]
     variants = [
         Variant(NO_MANAGER, CORE),
         *(Variant(name, PLUGIN, (f"+reg={name}",)) for name in names),
@@ -145,11 +159,15 @@ def choose(only: Sequence[str]) -> list[Variant]:
     known = [variant.name for variant in variants]
     for name in only:
         if name not in known:
-            raise NerfregError(f"--only {name}: no installed plugin or preset; {nearest(name, known)}")
+            raise NerfregError(
+                f"--only {name}: no installed plugin or preset; {nearest(name, known)}"
+            )
     return [variant for variant in variants if not only or variant.name in only]
 
 
-def measure(group: Sequence[Variant], overrides: Sequence[str], scene: Scene, sizes: Sizes) -> Iterator[Point]:
+def measure(
+    group: Sequence[Variant], overrides: Sequence[str], scene: Scene, sizes: Sizes
+) -> Iterator[Point]:
     """One point for each variant of the group and each share."""
     trainers = [variant.trainer(overrides, scene) for variant in (Variant(VANILLA, CORE), *group)]
     for trainer in trainers[1:]:
@@ -159,7 +177,9 @@ def measure(group: Sequence[Variant], overrides: Sequence[str], scene: Scene, si
         in_turns(calls, sizes.warmup if share == sizes.shares[0] else sizes.settling)
         before = [trainer.renderer.points for trainer in trainers]
         seconds = in_turns(calls, sizes.steps)
-        points = [(t.renderer.points - b) / sizes.steps for t, b in zip(trainers, before, strict=True)]
+        points = [
+            (t.renderer.points - b) / sizes.steps for t, b in zip(trainers, before, strict=True)
+        ]
         for i, variant in enumerate(group, 1):
             yield compare(variant, share, (seconds[i], points[i]), (seconds[0], points[0]))
 
@@ -174,7 +194,10 @@ def start_alike(trainer: Trainer, other: Trainer) -> None:
 
 
 def compare(
-    variant: Variant, share: float, own: tuple[Sequence[float], float], vanilla: tuple[Sequence[float], float]
+    variant: Variant,
+    share: float,
+    own: tuple[Sequence[float], float],
+    vanilla: tuple[Sequence[float], float],
 ) -> Point:
     """own, vanilla: seconds of each round, and points a step."""
     ratio = spread([a / b for a, b in zip(own[0], vanilla[0], strict=True)])

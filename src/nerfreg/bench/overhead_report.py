@@ -116,14 +116,22 @@ def draw(summary: Sequence[Overhead], stem: Path) -> list[Path]:
         panel.set_yscale("linear")
         for row, line in enumerate(summary):
             panel.barh(row, line.ratio, height=0.62, color=colors[line.kind], alpha=0.85)
-            panel.plot((line.p10, line.p90), (row, row), color="black", linewidth=1.2, solid_capstyle="butt")
+            panel.plot(
+                (line.p10, line.p90),
+                (row, row),
+                color="black",
+                linewidth=1.2,
+                solid_capstyle="butt",
+            )
             _mark(panel, row, LIMITS.get(line.variant))
         panel.axvline(1, color=GUIDE, linestyle=(0, (4, 3)), linewidth=1.1)
         panel.set_yticks(range(len(summary)), [line.variant for line in summary])
         panel.set_ylim(len(summary) - 0.4, -0.6)
         panel.set_xlim(0, 1.05 * max(1.1, *(max(line.p90, line.ratio) for line in summary)))
         panel.set_xlabel("time of a step, vanilla = 1 (line: 10 to 90 %; red: limit)")
-        figure.suptitle("What each regularizer and each preset makes of a training step", fontsize=11.5)
+        figure.suptitle(
+            "What each regularizer and each preset makes of a training step", fontsize=11.5
+        )
         return save(figure, stem)
 
 

@@ -21,7 +21,13 @@ from nerfreg.training import loss
 from nerfreg.training.trainer import Trainer
 
 GRID, NETWORKS, COMPOSITING = "hash grid", "networks", "compositing"
-RAYS, HOOKS, SAMPLING, OPTIMIZER, AVERAGE = "rays", "hooks", "sampling", "optimizer", "moving average"
+RAYS, HOOKS, SAMPLING, OPTIMIZER, AVERAGE = (
+    "rays",
+    "hooks",
+    "sampling",
+    "optimizer",
+    "moving average",
+)
 COLOR_LOSS = "color loss"
 BACKWARD = " backward"
 """Ends the name of a part's backward pass."""
@@ -59,7 +65,9 @@ def timed_parts(trainer: Trainer, watch: Stopwatch) -> Iterator[None]:
     with ExitStack() as undo:
         for owner, name, part in _seams(trainer):
             undo.enter_context(replaced(owner, name, graph.timed(part, getattr(owner, name))))
-        undo.enter_context(replaced(trainer.hooks, "losses", _losses_one_by_one(trainer.hooks, graph)))
+        undo.enter_context(
+            replaced(trainer.hooks, "losses", _losses_one_by_one(trainer.hooks, graph))
+        )
         undo.enter_context(replaced(trainer, "step", graph.forgetting(trainer.step)))
         yield
 
@@ -100,7 +108,10 @@ def _seams(trainer: Trainer) -> Iterator[tuple[Any, str, str]]:
 
 def _losses_one_by_one(hooks: Hooks, graph: _Graph) -> Callable[[Rendering, Step], list[Term]]:
     """What `hooks.losses` returns, each plugin a part of its own."""
-    each = [graph.timed(f"{name} loss", Hooks({name: plugin}).losses) for name, plugin in hooks.plugins.items()]
+    each = [
+        graph.timed(f"{name} loss", Hooks({name: plugin}).losses)
+        for name, plugin in hooks.plugins.items()
+    ]
 
     def losses(rendering: Rendering, step: Step) -> list[Term]:
         return [term for of_plugin in each for term in of_plugin(rendering, step)]

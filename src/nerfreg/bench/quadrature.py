@@ -73,9 +73,13 @@ def run(folder: Path, sizes: Sizes) -> Outcome:
     from nerfreg.bench.quadrature_report import draw, print_table
 
     dtypes = (torch.float32, torch.float64)
-    points = [point for medium in MEDIA for dtype in dtypes for point in measure(medium, dtype, sizes)]
+    points = [
+        point for medium in MEDIA for dtype in dtypes for point in measure(medium, dtype, sizes)
+    ]
     print_table(points, sizes)
-    return Outcome([write_csv(folder / "quadrature.csv", points), *draw(points, sizes, folder / "quadrature")])
+    return Outcome(
+        [write_csv(folder / "quadrature.csv", points), *draw(points, sizes, folder / "quadrature")]
+    )
 
 
 def measure(medium: Medium, dtype: torch.dtype, sizes: Sizes) -> list[Point]:
@@ -86,12 +90,20 @@ def measure(medium: Medium, dtype: torch.dtype, sizes: Sizes) -> list[Point]:
     name = str(dtype).removeprefix("torch.")
     points = []
     for count in sizes.samples:
-        seconds = median_seconds([partial(render, rays, sampler, count) for sampler in SAMPLERS], sizes.repetitions)
+        seconds = median_seconds(
+            [partial(render, rays, sampler, count) for sampler in SAMPLERS], sizes.repetitions
+        )
         for sampler, time in zip(SAMPLERS, seconds, strict=True):
             sampled, *values = render(rays, sampler, count)
-            spread = [number for error in _errors(medium, *values) for number in _mean_and_quantiles(error)]
+            spread = [
+                number
+                for error in _errors(medium, *values)
+                for number in _mean_and_quantiles(error)
+            ]
             microseconds = time / sizes.rays * 1e6
-            points.append(Point(medium.name, sampler, name, count, sampled.evaluations, microseconds, *spread))
+            points.append(
+                Point(medium.name, sampler, name, count, sampled.evaluations, microseconds, *spread)
+            )
     return points
 
 
@@ -105,12 +117,18 @@ def render(
     return sampled, result.opacity, result.depth, result.rgb
 
 
-def fitted_order(points: Iterable[Point], quantity: str, fewest: int = 64, floor: float = 1e-12) -> float | None:
+def fitted_order(
+    points: Iterable[Point], quantity: str, fewest: int = 64, floor: float = 1e-12
+) -> float | None:
     """p in error ~ samples^-p, by least squares over the points with enough samples and an error above rounding.
 
     None where fewer than 3 points are left.
     """
-    fitted = [(p.samples, p.error(quantity)) for p in points if p.samples >= fewest and p.error(quantity) > floor]
+    fitted = [
+        (p.samples, p.error(quantity))
+        for p in points
+        if p.samples >= fewest and p.error(quantity) > floor
+    ]
     if len(fitted) < 3:
         return None
     samples, errors = np.log(np.array(fitted)).T
@@ -128,7 +146,10 @@ def first_below(points: Sequence[Point], quantity: str, error: float) -> Point |
 
 
 def _errors(
-    medium: Medium, opacity: Float[Tensor, " rays"], depth: Float[Tensor, " rays"], rgb: Float[Tensor, "rays 3"]
+    medium: Medium,
+    opacity: Float[Tensor, " rays"],
+    depth: Float[Tensor, " rays"],
+    rgb: Float[Tensor, "rays 3"],
 ) -> tuple[Float[Tensor, " rays"], Float[Tensor, " rays"], Float[Tensor, " rays"]]:
     truth = exact(medium)
     true_color = torch.tensor(truth.color, dtype=torch.float64)

@@ -24,7 +24,14 @@ LABELS = {
     "importance": "importance, 1/3 coarse + 2/3 fine",
     "skipping": f"uniform, skipping empty ones of {CELLS} cells",
 }
-PLOTTED = {"exponential": 2, "gaussian_bump": 2, "shell_1e0": 1, "shell_1e6": 1, "two_shells": 1, "gaussian_shell": 2}
+PLOTTED = {
+    "exponential": 2,
+    "gaussian_bump": 2,
+    "shell_1e0": 1,
+    "shell_1e6": 1,
+    "two_shells": 1,
+    "gaussian_shell": 2,
+}
 """Media of the plot, and the order of the slope that is drawn beside them."""
 GOAL = 0.01
 RESOLVED = 1024
@@ -58,7 +65,9 @@ def _order(medium: Medium, points: Sequence[Point], quantity: str) -> str:
 
 
 def _work(points: Sequence[Point], sampler: str) -> str:
-    point = first_below([p for p in points if p.sampler == sampler and p.dtype == "float32"], "color", GOAL)
+    point = first_below(
+        [p for p in points if p.sampler == sampler and p.dtype == "float32"], "color", GOAL
+    )
     if point is None:
         return "never"
     return f"{point.samples} ({point.microseconds:.{0 if point.microseconds >= 10 else 1}f})"
@@ -66,7 +75,10 @@ def _work(points: Sequence[Point], sampler: str) -> str:
 
 def draw(points: Sequence[Point], sizes: Sizes, stem: Path) -> list[Path]:
     """Errors against run time, a row for each quantity, and against evaluations of the density; PNG and SVG."""
-    media = sorted((medium for medium in MEDIA if medium.name in PLOTTED), key=lambda m: list(PLOTTED).index(m.name))
+    media = sorted(
+        (medium for medium in MEDIA if medium.name in PLOTTED),
+        key=lambda m: list(PLOTTED).index(m.name),
+    )
     named = dict(zip(LABELS, styles(tuple(LABELS.values())), strict=True))
     shown = [point for point in points if point.dtype == "float32"]
     times = [point.microseconds for point in shown]
@@ -78,7 +90,13 @@ def draw(points: Sequence[Point], sizes: Sizes, stem: Path) -> list[Path]:
             for row, quantity in enumerate((*QUANTITIES, "color")):
                 panel, against = axes[row][column], "microseconds" if row < 3 else "evaluations"
                 for sampler, style in named.items():
-                    _curve(panel, [p for p in of_medium if p.sampler == sampler], against, quantity, style)
+                    _curve(
+                        panel,
+                        [p for p in of_medium if p.sampler == sampler],
+                        against,
+                        quantity,
+                        style,
+                    )
                 panel.set_ylim(LOWEST / 2, 5)
                 panel.set_xlim(*_limits(times if row < 3 else evaluations))
                 if column:
@@ -86,7 +104,9 @@ def draw(points: Sequence[Point], sizes: Sizes, stem: Path) -> list[Path]:
                 if row in (0, 1):
                     panel.tick_params(labelbottom=False)
         for row, label in enumerate(("opacity", "depth", "colour", "colour")):
-            axes[row][0].set_ylabel(f"{label} error ({'ray lengths' if label == 'depth' else 'relative'})")
+            axes[row][0].set_ylabel(
+                f"{label} error ({'ray lengths' if label == 'depth' else 'relative'})"
+            )
             for panel, medium in zip(axes[row], media, strict=True):
                 power = PLOTTED[medium.name]
                 # Where no curve passes: above those of smooth media, below those of stiff ones.
@@ -113,7 +133,10 @@ def _curve(panel: Axes, points: Sequence[Point], against: str, quantity: str, st
     y = [max(point.error(quantity), LOWEST) for point in points]
     panel.plot(x, y, color=style.color, marker=style.marker, label=style.label, markeredgewidth=0)
     if points and points[0].sampler == "uniform_jittered":
-        low, high = ([max(getattr(p, f"{quantity}_error_{q}"), LOWEST) for p in points] for q in ("p10", "p90"))
+        low, high = (
+            [max(getattr(p, f"{quantity}_error_{q}"), LOWEST) for p in points]
+            for q in ("p10", "p90")
+        )
         panel.fill_between(x, low, high, color=style.color, alpha=0.15, linewidth=0)
 
 

@@ -49,7 +49,9 @@ def run(folder: Path, sizes: Sizes, words: tuple[str, ...]) -> Outcome:
     return write_record(folder / "render.json", record)
 
 
-def measure(field: RadianceField, sampler: SamplerConfig, scene: Scene, views: int) -> dict[str, Any]:
+def measure(
+    field: RadianceField, sampler: SamplerConfig, scene: Scene, views: int
+) -> dict[str, Any]:
     """Times and evaluations of some test views after the first, which compiles what the others run."""
     begun = perf_counter()
     ViewRenderer(field, sampler, scene).view(scene.cameras, scene.test[0])
@@ -97,9 +99,15 @@ def print_table(record: dict[str, Any]) -> None:
             f"{record['seconds_per_view']:.3g} s a view, median of {record['views']} "
             f"(10 to 90 %: {record['seconds_p10']:.3g} to {record['seconds_p90']:.3g})",
         ),
-        ("each ray", f"{record['points_per_ray']:.3g} densities, {record['colors_per_ray']:.3g} colours"),
+        (
+            "each ray",
+            f"{record['points_per_ray']:.3g} densities, {record['colors_per_ray']:.3g} colours",
+        ),
         ("occupancy grid", f"{record['occupancy_seconds']:.3g} s, once"),
-        ("first view", f"{record['first_view_seconds']:.3g} s, with the grid and whatever had to be compiled"),
+        (
+            "first view",
+            f"{record['first_view_seconds']:.3g} s, with the grid and whatever had to be compiled",
+        ),
         ("peak memory", f"{record['peak_memory_mb']} MB"),
     ):
         table.add_row(name, text)

@@ -87,7 +87,10 @@ def full_geometry_from_weights(rendering: Rendering) -> Float[Tensor, ""]:
 
 ALL_PAIRS, PREFIX_SUMS, WITH_EPSILON = "all pairs", "prefix sums", "+ 1e-10"
 RIVALS: dict[str, tuple[Rival, ...]] = {
-    "distortion": (Rival(ALL_PAIRS, distortion_by_pairs, 512), Rival(PREFIX_SUMS, distortion_by_prefix_sums)),
+    "distortion": (
+        Rival(ALL_PAIRS, distortion_by_pairs, 512),
+        Rival(PREFIX_SUMS, distortion_by_prefix_sums),
+    ),
     "kl": (Rival(WITH_EPSILON, kl_with_epsilon),),
     "entropy": (
         Rival(WITH_EPSILON, entropy_with_epsilon),

@@ -63,7 +63,9 @@ def uniform(bundle: Bundle, count: int) -> Sampled:
 
 def jittered(bundle: Bundle, count: int) -> Sampled:
     """Anywhere in equal parts, as in training."""
-    return _evaluated(bundle, stratified(bundle.near, bundle.far, count, generator=bundle.generator))
+    return _evaluated(
+        bundle, stratified(bundle.near, bundle.far, count, generator=bundle.generator)
+    )
 
 
 def by_importance(bundle: Bundle, count: int) -> Sampled:

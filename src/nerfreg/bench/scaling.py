@@ -47,7 +47,14 @@ class Sizes:
     defaults: tuple[str, ...] = ()
 
 
-FULL = Sizes((256, 512, 1024, 2048, 4096), (16, 32, 64, 128, 256), (2, 4, 8, 16, 32), (13, 15, 17, 19, 21), 15, 5)
+FULL = Sizes(
+    (256, 512, 1024, 2048, 4096),
+    (16, 32, 64, 128, 256),
+    (2, 4, 8, 16, 32),
+    (13, 15, 17, 19, 21),
+    15,
+    5,
+)
 QUICK = Sizes((32, 64), (8, 16), (2, 4), (8, 10), steps=2, warmup=1, defaults=TINY)
 
 
@@ -109,10 +116,20 @@ def sweeps(config: Config, sizes: Sizes) -> list[tuple[str, int, Config]]:
     field, sampler, train = config.field, config.sampler, config.train
     changed = [("rays", n, replace(config, train=replace(train, rays=n))) for n in sizes.rays]
     for n in sizes.samples:
-        changed.append(("samples", n, replace(config, sampler=replace(sampler, coarse=n // 2, fine=n - n // 2))))
-    changed += [("levels", n, replace(config, field=replace(field, levels=n))) for n in sizes.levels]
+        changed.append(
+            (
+                "samples",
+                n,
+                replace(config, sampler=replace(sampler, coarse=n // 2, fine=n - n // 2)),
+            )
+        )
+    changed += [
+        ("levels", n, replace(config, field=replace(field, levels=n))) for n in sizes.levels
+    ]
     for log2 in sizes.log2_entries:
-        changed.append(("entries", 2**log2, replace(config, field=replace(field, log2_entries=log2))))
+        changed.append(
+            ("entries", 2**log2, replace(config, field=replace(field, log2_entries=log2)))
+        )
     return changed
 
 
@@ -143,7 +160,9 @@ def print_table(points: Sequence[Point], config: Config, sizes: Sizes) -> None:
         first, last, fitted = own[0], own[-1], fit(own)
         times = f"{first.milliseconds:.3g} to {last.milliseconds:.3g}"
         off = f"{100 * fitted.off:.1f} %"
-        table.add_row(LABELS[swept], str(first.value), str(last.value), times, f"{fitted.slope:.2f}", off)
+        table.add_row(
+            LABELS[swept], str(first.value), str(last.value), times, f"{fitted.slope:.2f}", off
+        )
     Console().print(table)
 
 
@@ -157,7 +176,10 @@ def draw(points: Sequence[Point], stem: Path) -> list[Path]:
         low, high = min(p.milliseconds_p10 for p in points), max(p.milliseconds_p90 for p in points)
         for panel in axes[0]:
             panel.set_ylim(low / 1.4, high * 1.4)
-        figure.suptitle("Time of a training step against its sizes (bars: 10 to 90 %; line: straight)", fontsize=11.5)
+        figure.suptitle(
+            "Time of a training step against its sizes (bars: 10 to 90 %; line: straight)",
+            fontsize=11.5,
+        )
         return save(figure, stem)
 
 

@@ -130,7 +130,10 @@ def measure(config: Config, scene: Scene, sizes: Sizes) -> Measured:
     points_before, counted = trainer.renderer.points, _CountedColors(trainer.field.color)
     with replaced(trainer.field, "color", counted):
         seconds = time_steps(trainer, sizes.at, sizes.steps)
-    points, colors = (trainer.renderer.points - points_before) / sizes.steps, counted.colors / sizes.steps
+    points, colors = (
+        (trainer.renderer.points - points_before) / sizes.steps,
+        counted.colors / sizes.steps,
+    )
     parts = measure_parts(trainer, sizes.at, sizes.steps)
     return Measured(
         scene=scene.name,

@@ -28,11 +28,18 @@ def _parts(measured: Measured) -> Table:
     table.add_column("part", no_wrap=True)
     for header in ("forward ms", "backward ms", "share"):
         table.add_column(header, justify="right")
-    names = sorted(dict.fromkeys(part.removesuffix(BACKWARD) for part in parts), key=lambda name: name == REST)
+    names = sorted(
+        dict.fromkeys(part.removesuffix(BACKWARD) for part in parts), key=lambda name: name == REST
+    )
     for name in names:
         forward, backward = parts.get(name, 0.0), parts.get(f"{name}{BACKWARD}")
         share = (forward + (backward or 0.0)) / total
-        table.add_row(name, f"{forward:.2f}", "" if backward is None else f"{backward:.2f}", f"{100 * share:.1f} %")
+        table.add_row(
+            name,
+            f"{forward:.2f}",
+            "" if backward is None else f"{backward:.2f}",
+            f"{100 * share:.1f} %",
+        )
     return table
 
 

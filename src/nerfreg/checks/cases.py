@@ -39,7 +39,9 @@ def _spread(near: float, far: float) -> Cut:
 
 
 def _sliver(samples: int, chance: torch.Generator) -> Tensor:
-    return torch.cat([torch.tensor([0.0, 1e-9], dtype=torch.float64), _spread(1e-9, FAR)(samples, chance)[2:]])
+    return torch.cat(
+        [torch.tensor([0.0, 1e-9], dtype=torch.float64), _spread(1e-9, FAR)(samples, chance)[2:]]
+    )
 
 
 def _half_empty(samples: int, chance: torch.Generator) -> Tensor:
@@ -196,7 +198,9 @@ class Case:
         )
 
 
-def _known_depth(edges: Float[Tensor, " edges"], index: Int[Tensor, " rays"]) -> Float[Tensor, "rays 2"]:
+def _known_depth(
+    edges: Float[Tensor, " edges"], index: Int[Tensor, " rays"]
+) -> Float[Tensor, "rays 2"]:
     """Of every first ray of three nothing, of every second a part of it, of every third something behind its end."""
     part = torch.lerp(edges[0], edges[-1], torch.tensor([0.3, 0.35]).double())
     choices = torch.stack([torch.full_like(part, torch.nan), part, part + edges[-1]])
@@ -210,21 +214,53 @@ CASES = (
     Case("empty", "no density anywhere", _total(0.0)),
     Case("empty_white", "no density anywhere, on white", _total(0.0), white=True),
     Case("thickness_1e-12", "optical thickness 1e-12 in all", _total(1e-12)),
-    Case("thickness_1", "optical thickness 1 in all, on white", _total(1.0), regular=True, white=True),
+    Case(
+        "thickness_1", "optical thickness 1 in all, on white", _total(1.0), regular=True, white=True
+    ),
     Case("thickness_1e6", "optical thickness 1e6 in all", _total(1e6)),
     Case("thickness_1e30", "optical thickness 1e30 in all", _total(1e30), sizes=LARGE),
     Case("wall_first", "a wall in the first interval", _walls((0.0, 50.0))),
     Case("wall_middle", "a wall in the middle", _walls((0.5, 50.0))),
     Case("wall_last", "a wall in the last interval", _walls((1.0, 50.0))),
-    Case("two_walls", "a wall that half the light passes, and one behind it", _walls((0.3, 0.7), (0.7, 50.0))),
     Case(
-        "underflow", "walls behind a wall that leaves 1e-87 of the light", _walls((0.3, 200.0), (0.6, 3.0), (0.9, 3.0))
+        "two_walls",
+        "a wall that half the light passes, and one behind it",
+        _walls((0.3, 0.7), (0.7, 50.0)),
     ),
-    Case("sliver", "an interval of length 1e-9 at the camera holds everything", _walls((0.0, 10.0)), cut=_sliver),
+    Case(
+        "underflow",
+        "walls behind a wall that leaves 1e-87 of the light",
+        _walls((0.3, 200.0), (0.6, 3.0), (0.9, 3.0)),
+    ),
+    Case(
+        "sliver",
+        "an interval of length 1e-9 at the camera holds everything",
+        _walls((0.0, 10.0)),
+        cut=_sliver,
+    ),
     Case("zero_width", "every second interval has no length", _fog, cut=_half_empty),
-    Case("tiny_scale", "fog in a scene of 1e-6", _fog, cut=_spread(NEAR * 1e-6, FAR * 1e-6), regular=True),
-    Case("huge_scale", "fog in a scene of 1e6", _fog, cut=_spread(NEAR * 1e6, FAR * 1e6), regular=True),
-    Case("packed", "fog between distances 10000 and 10001", _fog, _spread(1e4, 1e4 + 1), regular=True, sizes=LARGE),
+    Case(
+        "tiny_scale",
+        "fog in a scene of 1e-6",
+        _fog,
+        cut=_spread(NEAR * 1e-6, FAR * 1e-6),
+        regular=True,
+    ),
+    Case(
+        "huge_scale",
+        "fog in a scene of 1e6",
+        _fog,
+        cut=_spread(NEAR * 1e6, FAR * 1e6),
+        regular=True,
+    ),
+    Case(
+        "packed",
+        "fog between distances 10000 and 10001",
+        _fog,
+        _spread(1e4, 1e4 + 1),
+        regular=True,
+        sizes=LARGE,
+    ),
     Case("near_is_far", "rays of no length", _fog, cut=_collapsed, bounds=(NEAR, FAR)),
     Case("one_hot", "all weight in one interval, another for each ray", _one_hot),
     Case("uniform", "all weights equal", _uniform, regular=True),

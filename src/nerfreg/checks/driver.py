@@ -52,15 +52,25 @@ class Driver:
         result = integrate(density, single(inputs.t_edges))
         colored = result.weights.detach() > MIN_WEIGHT
         with torch.no_grad():
-            still, turn = single(inputs.features), single(inputs.rays.directions).new_zeros(int(colored.sum()), 3)
+            still, turn = (
+                single(inputs.features),
+                single(inputs.rays.directions).new_zeros(int(colored.sum()), 3),
+            )
             self._raw_density = self.density_network(still.reshape(-1, FEATURES))
-            self._raw_color = self.color_network(self._color_input(turn, self._raw_density, colored))
+            self._raw_color = self.color_network(
+                self._color_input(turn, self._raw_density, colored)
+            )
         self.rendering = self._composite(density, single(self.colors)[colored], colored)
 
     @property
     def leaves(self) -> list[Tensor]:
         """Everything that a gradient may reach: density, colours, and the parameters of the networks."""
-        return [self.density, self.colors, *self.density_network.parameters(), *self.color_network.parameters()]
+        return [
+            self.density,
+            self.colors,
+            *self.density_network.parameters(),
+            *self.color_network.parameters(),
+        ]
 
     def step(self, fraction: float = 0.5) -> Step:
         """The step at this share of a run of `STEPS`, with randomness that begins anew."""
@@ -108,24 +118,34 @@ class Driver:
         turn = turned.expand(*colored.shape, 3)[colored]
         hue = self.color_network(self._color_input(turn, raw, colored)) - self._raw_color
         colors = single(self.colors)[colored] + REACH * torch.tanh(hue)
-        again = self._composite(single(self.density) * torch.exp(REACH * torch.tanh(change)), colors, colored)
+        again = self._composite(
+            single(self.density) * torch.exp(REACH * torch.tanh(change)), colors, colored
+        )
         self.keep_contract(step)
         return again
 
     def _color_input(
-        self, turn: Float[Tensor, "colored 3"], raw: Float[Tensor, "points out"], colored: Bool[Tensor, "rays samples"]
+        self,
+        turn: Float[Tensor, "colored 3"],
+        raw: Float[Tensor, "points out"],
+        colored: Bool[Tensor, "rays samples"],
     ) -> Float[Tensor, "colored in"]:
         still = single(self.inputs.features)[colored][:, :3]
         return torch.cat([still + turn, raw[:, 1:][colored.flatten()]], dim=1)
 
     def _composite(
-        self, density: Float[Tensor, "rays samples"], colors: Float[Tensor, "colored 3"], colored: Tensor
+        self,
+        density: Float[Tensor, "rays samples"],
+        colors: Float[Tensor, "colored 3"],
+        colored: Tensor,
     ) -> Rendering:
         """Composite, and hand out everything in the precision of the case."""
         rays, dtype = self.inputs.rays, self.inputs.density.dtype
         result = integrate(density, single(self.inputs.t_edges))
         ray, sample = colored.nonzero(as_tuple=True)
-        rgb = colors.new_zeros(len(rays), 3).index_add(0, ray, result.weights[ray, sample][:, None] * colors)
+        rgb = colors.new_zeros(len(rays), 3).index_add(
+            0, ray, result.weights[ray, sample][:, None] * colors
+        )
         if rays.background is not None:
             rgb = rgb + transmittance(result.tau)[:, None] * single(rays.background)
         return Rendering(
@@ -147,6 +167,7 @@ def make_network(name: str, widths: tuple[int, ...], hooks: Hooks) -> Network:
     """A network of layers from the layer factory, ReLU between them."""
     last = len(widths) - 2
     layers = [
-        hooks.layer(name, i, widths[i], widths[i + 1], "none" if i == last else "relu") for i in range(len(widths) - 1)
+        hooks.layer(name, i, widths[i], widths[i + 1], "none" if i == last else "relu")
+        for i in range(len(widths) - 1)
     ]
     return Network(layers)

@@ -57,7 +57,13 @@ def _ray(sigma: list[Any], rgb: list[Any], edges: list[Any], background: list[An
     opacity = -mpmath.expm1(-passed)
     # opacity is the sum of the weights
     depth = moment / opacity if opacity >= MIN_OPACITY else edges[-1]
-    return ExactRay(weights, logs, opacity, depth, [c + light * b for c, b in zip(color, background, strict=True)])
+    return ExactRay(
+        weights,
+        logs,
+        opacity,
+        depth,
+        [c + light * b for c, b in zip(color, background, strict=True)],
+    )
 
 
 def relative_error(values: Any, truth: Any, dtype: str) -> float:

@@ -36,11 +36,16 @@ def wrong_gradient(loss: Loss, inputs: Inputs) -> list[str]:
     lines = []
     for _ in range(DIRECTIONS):
         direction = Direction(
-            *(torch.randn(x.shape, generator=chance).double() for x in (inputs.density, inputs.colors))
+            *(
+                torch.randn(x.shape, generator=chance).double()
+                for x in (inputs.density, inputs.colors)
+            )
         )
         with _Detached([]) as detached:
             value, (density, colors) = loss(inputs)
-        grads = torch.autograd.grad(value, [density, colors], allow_unused=True, materialize_grads=True)
+        grads = torch.autograd.grad(
+            value, [density, colors], allow_unused=True, materialize_grads=True
+        )
         by_density = (grads[0] * inputs.density * direction.log_density).sum()
         by_autograd = (by_density + (grads[1] * direction.colors).sum()).item()
         ends = []
@@ -49,8 +54,13 @@ def wrong_gradient(loss: Loss, inputs: Inputs) -> list[str]:
                 ends.append(loss(_moved(inputs, direction, stride))[0].item())
         by_differences = (ends[0] - ends[1]) / (2 * STRIDE)
         size = max(abs(by_autograd), abs(by_differences))
-        if not abs(by_autograd - by_differences) <= RELATIVE * size + FLOOR * abs(value.item()) + NOISE:
-            lines.append(f"derivative is {by_autograd:.6g} by autograd, {by_differences:.6g} by finite differences")
+        if (
+            not abs(by_autograd - by_differences)
+            <= RELATIVE * size + FLOOR * abs(value.item()) + NOISE
+        ):
+            lines.append(
+                f"derivative is {by_autograd:.6g} by autograd, {by_differences:.6g} by finite differences"
+            )
     return lines[:1]
 
 

@@ -46,7 +46,9 @@ class Inputs:
 
     def fits(self, dtype: torch.dtype) -> bool:
         """Whether rounding makes no number infinite."""
-        return all(bool(tensor.to(dtype).isfinite().all()) for tensor in (self.density, self.t_edges))
+        return all(
+            bool(tensor.to(dtype).isfinite().all()) for tensor in (self.density, self.t_edges)
+        )
 
     def scaled(self, factor: float) -> Inputs:
         """All distances, origins among them, times `factor`; density per distance accordingly."""
@@ -59,13 +61,21 @@ class Inputs:
         )
         near, far = self.bounds
         bounds = near * factor, far * factor
-        return replace(self, rays=rays, density=self.density / factor, t_edges=self.t_edges * factor, bounds=bounds)
+        return replace(
+            self,
+            rays=rays,
+            density=self.density / factor,
+            t_edges=self.t_edges * factor,
+            bounds=bounds,
+        )
 
     def permuted(self, generator: torch.Generator) -> Inputs:
         """The same rays in another order; those with a target still come first."""
         supervised, rest = len(self.rays.targets), len(self.rays) - len(self.rays.targets)
         seen = torch.randperm(supervised, generator=generator)
-        return self._arranged([torch.cat([seen, supervised + torch.randperm(rest, generator=generator)])])
+        return self._arranged(
+            [torch.cat([seen, supervised + torch.randperm(rest, generator=generator)])]
+        )
 
     def repeated(self, times: int) -> Inputs:
         """Every ray, patch, pair and unseen ray several times."""
@@ -78,13 +88,20 @@ class Inputs:
         at, rest = torch.arange(count), count - supervised
         places = []
         for copy, o in enumerate(orders):
-            new = torch.where(at < supervised, copy * supervised + at, (copies - 1) * supervised + copy * rest + at)
+            new = torch.where(
+                at < supervised,
+                copy * supervised + at,
+                (copies - 1) * supervised + copy * rest + at,
+            )
             places.append(torch.empty_like(o).scatter_(0, o, new))
         return _indexed(self, order, supervised * copies, places)
 
 
 def _indexed(
-    inputs: Inputs, order: Int[Tensor, " new"], supervised: int, places: Sequence[Int[Tensor, " rays"]]
+    inputs: Inputs,
+    order: Int[Tensor, " new"],
+    supervised: int,
+    places: Sequence[Int[Tensor, " rays"]],
 ) -> Inputs:
     """Rays picked by `order`; `places` says for each copy of the batch where each old ray went."""
     rays = inputs.rays
@@ -107,7 +124,12 @@ def _indexed(
     )
     pick = partial(torch.index_select, dim=0, index=order)
     return Inputs(
-        new, pick(inputs.density), pick(inputs.colors), pick(inputs.t_edges), pick(inputs.features), inputs.bounds
+        new,
+        pick(inputs.density),
+        pick(inputs.colors),
+        pick(inputs.t_edges),
+        pick(inputs.features),
+        inputs.bounds,
     )
 
 
@@ -115,7 +137,9 @@ def _mapped(inputs: Inputs, change: Callable[[Tensor], Tensor]) -> Inputs:
     """Every floating point tensor changed."""
     rays = {field.name: getattr(inputs.rays, field.name) for field in fields(inputs.rays)}
     changed = {
-        name: change(value) for name, value in rays.items() if isinstance(value, Tensor) and value.is_floating_point()
+        name: change(value)
+        for name, value in rays.items()
+        if isinstance(value, Tensor) and value.is_floating_point()
     }
     return replace(
         inputs,

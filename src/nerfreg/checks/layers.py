@@ -37,7 +37,9 @@ class LayerCase:
 
 
 LAYER_CASES = (
-    LayerCase("layer_initial", "layers: rows of 0, 1e-30 and 1e30, trainable scalars as initialised", None),
+    LayerCase(
+        "layer_initial", "layers: rows of 0, 1e-30 and 1e30, trainable scalars as initialised", None
+    ),
     LayerCase("layer_-50", "layers: the same rows, trainable scalars at -50", -50.0),
     LayerCase("layer_0", "layers: the same rows, trainable scalars at 0", 0.0),
     LayerCase("layer_50", "layers: the same rows, trainable scalars at 50", 50.0),
@@ -49,10 +51,14 @@ def check_layers(report: Report, subject: Subject, case: LayerCase, spot: Spot) 
     """Outputs and gradients of every layer are finite, and what it says it computes is what it computes."""
     driver = Driver(CASES[0].build(2).to(DTYPES[spot.dtype]), subject.hooks(), subject.name)
     for name, layer, shape in _layers(driver):
-        report.judge("contract", spot, [f"{name}: {line}" for line in wrong_layer(layer.float(), *shape)])
+        report.judge(
+            "contract", spot, [f"{name}: {line}" for line in wrong_layer(layer.float(), *shape)]
+        )
         layer.to(DTYPES[spot.dtype])
         _stress(layer, case)
-        probe = torch.rand(POINTS, shape[0], generator=torch.Generator().manual_seed(0)).to(DTYPES[spot.dtype])
+        probe = torch.rand(POINTS, shape[0], generator=torch.Generator().manual_seed(0)).to(
+            DTYPES[spot.dtype]
+        )
         output = layer(probe)
         report.judge("value", spot, not_finite(f"output of {name}", output))
         if output.requires_grad:
@@ -102,7 +108,10 @@ def _wrong_gradients(name: str, layer: nn.Module, output: Float[Tensor, "points 
 
 
 def _wrong_effective(
-    name: str, layer: nn.Module, probe: Float[Tensor, "points in"], output: Float[Tensor, "points out"]
+    name: str,
+    layer: nn.Module,
+    probe: Float[Tensor, "points in"],
+    output: Float[Tensor, "points out"],
 ) -> list[str]:
     affine = layer.effective() if isinstance(layer, AffineLayer) else None
     if affine is None:

@@ -68,14 +68,18 @@ def evaluate(subject: Subject, inputs: Inputs) -> Outcome:
     watch = Untouched(driver.rendering)
     terms = driver.hooks.losses(driver.rendering, step)
     driver.keep_contract(step)
-    return Outcome(driver, terms, watch.edits(), not torch.equal(before, step.generator.get_state()))
+    return Outcome(
+        driver, terms, watch.edits(), not torch.equal(before, step.generator.get_state())
+    )
 
 
 def broken_promises(driver: Driver) -> list[str]:
     """What the plugin's contract said, as far as it is more than rounding."""
     rounding = max(PROMISE, torch.finfo(driver.inputs.density.dtype).eps)
     return [
-        f"promise broken: {name}, by {excess:.2g}" for name, excess in driver.broken.items() if not excess <= rounding
+        f"promise broken: {name}, by {excess:.2g}"
+        for name, excess in driver.broken.items()
+        if not excess <= rounding
     ]
 
 
@@ -86,7 +90,11 @@ def _wrong_gradients(outcome: Outcome) -> list[str]:
     for term in outcome.terms:
         if term.value.requires_grad:
             grads = torch.autograd.grad(term.value, leaves, retain_graph=True, allow_unused=True)
-            found = [not_finite(name, grad) for name, grad in zip(names, grads, strict=True) if grad is not None]
+            found = [
+                not_finite(name, grad)
+                for name, grad in zip(names, grads, strict=True)
+                if grad is not None
+            ]
             wrong += [f"gradient of '{term.name}' by {line}" for lines in found for line in lines]
     return wrong
 
@@ -123,7 +131,9 @@ def _as_double(rendering: Rendering) -> Rendering:
             if isinstance(value, Tensor) and value.is_floating_point()
         }
 
-    return replace(rendering, rays=replace(rendering.rays, **cast(rendering.rays)), **cast(rendering))
+    return replace(
+        rendering, rays=replace(rendering.rays, **cast(rendering.rays)), **cast(rendering)
+    )
 
 
 def _variances(subject: Subject, outcome: Outcome, spot: Spot) -> list[str]:

@@ -34,16 +34,24 @@ def wrong_masks(samples: Samples, backend: str) -> list[str]:
     points = _in_unit_cube(samples.positions.detach())
     harmonics = spherical_harmonics(functional.normalize(points - 0.4, dim=1))
     dead = _dead_entries(field, samples.density_features)
-    dead_harmonics = torch.arange(WIDTH) >= (WIDTH if samples.color_features is None else samples.color_features)
+    dead_harmonics = torch.arange(WIDTH) >= (
+        WIDTH if samples.color_features is None else samples.color_features
+    )
     raw, color = _outputs(field, points, harmonics, samples)
-    (grad,) = torch.autograd.grad(raw.sum() + color.sum(), table, allow_unused=True, materialize_grads=True)
-    wrong = [f"{backend} field: dead grid features have a gradient"] if bool(grad[dead].any()) else []
+    (grad,) = torch.autograd.grad(
+        raw.sum() + color.sum(), table, allow_unused=True, materialize_grads=True
+    )
+    wrong = (
+        [f"{backend} field: dead grid features have a gradient"] if bool(grad[dead].any()) else []
+    )
     kept = table.detach().clone()
     with torch.no_grad():
         table[dead] = 1.0
         raw_after, _ = _outputs(field, points, harmonics, samples)
         table.copy_(kept)
-        _, color_after = _outputs(field, points, torch.where(dead_harmonics, 100.0, harmonics), samples)
+        _, color_after = _outputs(
+            field, points, torch.where(dead_harmonics, 100.0, harmonics), samples
+        )
     if not torch.equal(raw_after, raw.detach()):
         wrong.append(f"{backend} field: dead grid features change the density")
     if not torch.equal(color_after, color.detach()):
@@ -52,7 +60,10 @@ def wrong_masks(samples: Samples, backend: str) -> list[str]:
 
 
 def _outputs(
-    field: RadianceField, points: Float[Tensor, "points 3"], harmonics: Float[Tensor, "points 16"], samples: Samples
+    field: RadianceField,
+    points: Float[Tensor, "points 3"],
+    harmonics: Float[Tensor, "points 16"],
+    samples: Samples,
 ) -> tuple[Float[Tensor, "points out"], Float[Tensor, "points 3"]]:
     raw = field.raw_density(points, samples.density_features)
     return raw, field.color(raw, harmonics, samples.color_features)
@@ -75,7 +86,15 @@ def _dead_entries(field: RadianceField, active: float | None) -> Bool[Tensor, "e
 
 @cache
 def _small_field(backend: str) -> RadianceField:
-    config = FieldConfig(levels=LEVELS, base=4, finest=16, log2_entries=8, hidden=8, geometry=GEOMETRY, backend=backend)
+    config = FieldConfig(
+        levels=LEVELS,
+        base=4,
+        finest=16,
+        log2_entries=8,
+        hidden=8,
+        geometry=GEOMETRY,
+        backend=backend,
+    )
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(0)
         return RadianceField(config, torch.tensor([[0.0] * 3, [1.0] * 3]), Hooks().layer)

@@ -46,7 +46,11 @@ def wrong_intervals(known: Float[Tensor, "views height width 2"]) -> list[str]:
         "an interval begins behind the camera": first < 0,
         "an interval has no end": last.isinf(),
     }
-    return [f"{line}, in {int(where.sum())} pixels" for line, where in mistakes.items() if bool(where.any())]
+    return [
+        f"{line}, in {int(where.sum())} pixels"
+        for line, where in mistakes.items()
+        if bool(where.any())
+    ]
 
 
 def _photographs(
@@ -61,7 +65,10 @@ def _photographs(
 ) -> Photographs:
     poses = torch.eye(3, 4).repeat(views, 1, 1)
     poses[:, 0, 3] = scale * baseline * torch.arange(views)
-    focal, center = torch.full((views, 2), float(width)), torch.tensor([width / 2, height / 2]).expand(views, 2)
+    focal, center = (
+        torch.full((views, 2), float(width)),
+        torch.tensor([width / 2, height / 2]).expand(views, 2),
+    )
     noise = torch.rand(views, height, width, 3, generator=torch.Generator().manual_seed(0))
     images = 0.5 + contrast * (noise - 0.5)
     if alpha is not None:
@@ -73,14 +80,30 @@ def _photographs(
 PHOTOGRAPH_CASES = (
     PhotographCase("photos_noise", "photographs: noise, three views", _photographs),
     PhotographCase("photos_one", "photographs: one view", lambda: _photographs(views=1)),
-    PhotographCase("photos_flat", "photographs: all of one colour", lambda: _photographs(contrast=0.0)),
-    PhotographCase("photos_empty", "photographs: wholly transparent", lambda: _photographs(alpha=0.0)),
-    PhotographCase("photos_same_place", "photographs: cameras that did not move", lambda: _photographs(baseline=0.0)),
     PhotographCase(
-        "photos_apart", "photographs: cameras that see nothing in common", lambda: _photographs(baseline=1e4)
+        "photos_flat", "photographs: all of one colour", lambda: _photographs(contrast=0.0)
     ),
-    PhotographCase("photos_near_0", "photographs: rays that begin at the camera", lambda: _photographs(near=0.0)),
-    PhotographCase("photos_pixel", "photographs: one pixel each", lambda: _photographs(width=1, height=1)),
+    PhotographCase(
+        "photos_empty", "photographs: wholly transparent", lambda: _photographs(alpha=0.0)
+    ),
+    PhotographCase(
+        "photos_same_place",
+        "photographs: cameras that did not move",
+        lambda: _photographs(baseline=0.0),
+    ),
+    PhotographCase(
+        "photos_apart",
+        "photographs: cameras that see nothing in common",
+        lambda: _photographs(baseline=1e4),
+    ),
+    PhotographCase(
+        "photos_near_0",
+        "photographs: rays that begin at the camera",
+        lambda: _photographs(near=0.0),
+    ),
+    PhotographCase(
+        "photos_pixel", "photographs: one pixel each", lambda: _photographs(width=1, height=1)
+    ),
     PhotographCase("photos_huge", "photographs: a scene of 1e6", lambda: _photographs(scale=1e6)),
     PhotographCase("photos_tiny", "photographs: a scene of 1e-6", lambda: _photographs(scale=1e-6)),
 )

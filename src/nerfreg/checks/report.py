@@ -89,7 +89,9 @@ class Report:
         """Note an error against an exact value, a failure if it is above `limit`."""
         self._keep(Worst(error, spot, exact=True))
         wrong = (
-            [] if error <= limit else [f"{what}: relative error {error:.2g} against the exact value, limit {limit:g}"]
+            []
+            if error <= limit
+            else [f"{what}: relative error {error:.2g} against the exact value, limit {limit:g}"]
         )
         self.judge("error", spot, wrong)
 
@@ -97,7 +99,11 @@ class Report:
         """The same against the plugin's own value in float64."""
         self._keep(Worst(error, spot, exact=False))
         if not error <= limit:
-            self.judge("error", spot, [f"{what}: {error:.2g} off its own value in float64, limit {limit:g}"])
+            self.judge(
+                "error",
+                spot,
+                [f"{what}: {error:.2g} off its own value in float64, limit {limit:g}"],
+            )
 
     def reproduction(self, spot: Spot) -> str:
         """The command line that shows a failure again."""

@@ -15,7 +15,18 @@ from nerfreg.checks.report import CHECKS, Report, Spot
 SHOWN = 5
 """Different failures of one plugin that are spelled out."""
 
-COLUMNS = ("plugin", "hooks", "cases", "value", "grad", "float32", "float64", "invar.", "contract", "verdict")
+COLUMNS = (
+    "plugin",
+    "hooks",
+    "cases",
+    "value",
+    "grad",
+    "float32",
+    "float64",
+    "invar.",
+    "contract",
+    "verdict",
+)
 """cases: how many combinations of case, precision and size. float32, float64: the worst relative error."""
 
 FOOTNOTE = "~ against the plugin's own value in float64; it ships no exact one"
@@ -62,7 +73,9 @@ def as_json(reports: Sequence[Report]) -> str:
         }
         for report in reports
     ]
-    return json.dumps({"passed": all(report.passed for report in reports), "plugins": plugins}, indent=2)
+    return json.dumps(
+        {"passed": all(report.passed for report in reports), "plugins": plugins}, indent=2
+    )
 
 
 def _row(report: Report) -> tuple[str, ...]:
@@ -91,7 +104,10 @@ def _number(value: float) -> float | str:
 
 def _plain(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     widths = [max(map(len, column)) for column in zip(header, *rows, strict=True)]
-    lines = ("  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)) for row in (header, *rows))
+    lines = (
+        "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True))
+        for row in (header, *rows)
+    )
     return "\n".join(line.rstrip() for line in lines)
 
 
@@ -102,7 +118,11 @@ def _failures(report: Report) -> str:
         spots.setdefault((failure.check, failure.message), []).append(failure.spot)
     lines = []
     for (check, message), found in list(spots.items())[:SHOWN]:
-        lines += ["", f"{report.plugin}: {check}: {message}", f"    {report.reproduction(found[0])}"]
+        lines += [
+            "",
+            f"{report.plugin}: {check}: {message}",
+            f"    {report.reproduction(found[0])}",
+        ]
         if found[1:]:
             lines.append(f"    and {len(found) - 1} times more, {_cases(found[1:])}")
     if rest := list(spots.values())[SHOWN:]:

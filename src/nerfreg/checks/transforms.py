@@ -24,7 +24,11 @@ FRACTIONS = (0.0, 0.01, 0.05, 0.5, 1.0, 2.0)
 def check_needs(report: Report, subject: Subject, inputs: Inputs, spot: Spot) -> None:
     """The plugin asks for what the core can render."""
     driver = Driver(inputs, subject.hooks(), subject.name)
-    wrong = [line for at in FRACTIONS for line in _at(at, wrong_needs(driver.hooks.needs(driver.step(at))))]
+    wrong = [
+        line
+        for at in FRACTIONS
+        for line in _at(at, wrong_needs(driver.hooks.needs(driver.step(at))))
+    ]
     report.judge("contract", spot, wrong)
 
 
@@ -63,7 +67,9 @@ def check_encoder_input(report: Report, subject: Subject, inputs: Inputs, spot: 
     report.judge("contract", spot, wrong + broken_promises(driver))
 
 
-def _compare(report: Report, spot: Spot, values: Mapping[str, Any], truth: Mapping[str, Any]) -> None:
+def _compare(
+    report: Report, spot: Spot, values: Mapping[str, Any], truth: Mapping[str, Any]
+) -> None:
     if spot.dtype in LIMITS:
         for name in values.keys() & truth.keys():
             error = relative_error(values[name], truth[name], spot.dtype)

@@ -100,7 +100,9 @@ def parse_bench_options(words: Sequence[str]) -> BenchOptions:
         elif entry.takes and not word.startswith("-"):
             given.append(word)
         else:
-            raise NerfregError(f"bench: unknown option '{word}'; {nearest(word, (*OPTIONS, *entry.options))}")
+            raise NerfregError(
+                f"bench: unknown option '{word}'; {nearest(word, (*OPTIONS, *entry.options))}"
+            )
     if entry.takes == RUN and len(given) != 1:
         raise NerfregError(f"bench {name} needs the folder of one run: nerfreg bench {name} RUN")
     if folder.exists() and not folder.is_dir():

@@ -88,7 +88,9 @@ def parse(words: Sequence[str]) -> Options:
         elif equals:
             plugin = name.split(".")[1:2]
             if not (name.startswith("reg.") and name.count(".") == 2):
-                raise NerfregError(f"'{word}' is no plugin and no override; write reg.NAME.key=value")
+                raise NerfregError(
+                    f"'{word}' is no plugin and no override; write reg.NAME.key=value"
+                )
             options.overrides[plugin[0]].append(word)
         else:
             options.plugins.append(word)
@@ -118,7 +120,9 @@ def _grid(options: Options) -> Grid:
     return Grid(
         cases=tuple(case for case in CASES if options.case in (None, case.name)),
         layer_cases=tuple(case for case in LAYER_CASES if options.case in (None, case.name)),
-        photograph_cases=tuple(case for case in PHOTOGRAPH_CASES if options.case in (None, case.name)),
+        photograph_cases=tuple(
+            case for case in PHOTOGRAPH_CASES if options.case in (None, case.name)
+        ),
         dtypes=tuple(DTYPES) if options.dtype is None else (options.dtype,),
         samples=options.samples,
     )
@@ -129,9 +133,13 @@ def _subjects(options: Options) -> list[Subject]:
     found = {plugin.name: plugin for plugin in installed()}
     for name in (*options.plugins, *options.overrides):
         if name not in found and name != compositor.NAME:
-            raise NerfregError(f"unknown plugin '{name}'; {nearest(name, (*found, compositor.NAME))}")
+            raise NerfregError(
+                f"unknown plugin '{name}'; {nearest(name, (*found, compositor.NAME))}"
+            )
         if options.plugins and name not in options.plugins:
-            raise NerfregError(f"{options.overrides[name][0]}: plugin '{name}' is not checked; name it too")
+            raise NerfregError(
+                f"{options.overrides[name][0]}: plugin '{name}' is not checked; name it too"
+            )
     subjects = []
     for name, plugin in found.items():
         if options.plugins and name not in options.plugins:

@@ -97,7 +97,9 @@ class _Task:
         except NerfregError as error:
             raise Refused(error) from error
         except COMPOSITION_ERRORS as error:
-            raise Refused(NerfregError(explain(error, self.plugins, hydra_config.hydra.overrides.task))) from error
+            raise Refused(
+                NerfregError(explain(error, self.plugins, hydra_config.hydra.overrides.task))
+            ) from error
         if plan.at_once not in (None, 1):
             # joblib would let numba have a job's share of the cores and never more, whatever train.threads says
             os.environ.setdefault("NUMBA_NUM_THREADS", str(numba.config.NUMBA_NUM_THREADS))

@@ -54,24 +54,40 @@ def run(words: list[str]) -> int:
     options = parse_prune_options(words)
     console = Console(stderr=True)
     config, full = _configuration(options)
-    trials = Trials(config, options.stride, lambda line: console.print(line, highlight=False, markup=False))
+    trials = Trials(
+        config, options.stride, lambda line: console.print(line, highlight=False, markup=False)
+    )
     scene = trials.scene
     path = preset_path(options.name or preset_name(scene.name))
     folder = options.folder or Path("prune", plain(scene.name))
-    folds, ladder = make_folds(trials.views, options.folds), make_ladder(options.steps, config.train.steps)
+    folds, ladder = (
+        make_folds(trials.views, options.folds),
+        make_ladder(options.steps, config.train.steps),
+    )
     design = Design(full, folds, ladder, config.seed)
     measured = CellFile(folder, fingerprint(config, options.stride), trials)
     ledger = Ledger(measured)
     with console.status("", refresh_per_second=2) as status:
-        study = Study(design, ledger, options.budget, options.tolerance, _teller(console, status.update, config))
+        study = Study(
+            design,
+            ledger,
+            options.budget,
+            options.tolerance,
+            _teller(console, status.update, config),
+        )
         try:
             outcome = study.run()
         except KeyboardInterrupt:
-            print(f"{folder / CELLS} keeps what is measured; the same command goes on from there", file=sys.stderr)
+            print(
+                f"{folder / CELLS} keeps what is measured; the same command goes on from there",
+                file=sys.stderr,
+            )
             raise
     if measured.reused:
         print(f"{measured.reused} of {len(ledger.trials)} trainings were found in {folder / CELLS}")
-    summary = Summary(scene.name, trials.views, design, ledger, outcome, options.tolerance, options.budget)
+    summary = Summary(
+        scene.name, trials.views, design, ledger, outcome, options.tolerance, options.budget
+    )
     print_report(summary, Console())
     command = ("nerfreg", "prune", *words)
     layout_known = replace(config, scene=replace(config.scene, layout=scene.layout))
@@ -138,7 +154,9 @@ READERS: dict[str, tuple[str, str, Callable[[str, str], Any]]] = {
 
 def _configuration(options: PruneOptions) -> tuple[Config, tuple[str, ...]]:
     """What `nerfreg train` would run, its first training view held out, and what is selected with a weight above 0."""
-    if taken := next((word for word in options.overrides if word.lstrip("+").startswith("scene.held_out=")), None):
+    if taken := next(
+        (word for word in options.overrides if word.lstrip("+").startswith("scene.held_out=")), None
+    ):
         raise NerfregError(f"{taken}: prune chooses itself which training views it holds out")
     config = compose((*options.overrides, "scene.held_out=[0]"))
     full = tuple(str(name) for name, plugin in config.reg.items() if plugin.weight != 0)
@@ -154,13 +172,17 @@ def fingerprint(config: Config, stride: int) -> str:
     ignored = {"name": None, "seed": 0, "scene": replace(config.scene, held_out=None)}
     quiet = replace(config.train, quiet=False)
     content = OmegaConf.to_container(
-        OmegaConf.structured(replace(config, **ignored, train=quiet)), resolve=True, enum_to_str=True
+        OmegaConf.structured(replace(config, **ignored, train=quiet)),
+        resolve=True,
+        enum_to_str=True,
     )
     text = json.dumps([__version__, stride, content], sort_keys=True, default=str)
     return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
-def _teller(console: Console, update: Callable[[str], None], config: Config) -> Callable[[str], None]:
+def _teller(
+    console: Console, update: Callable[[str], None], config: Config
+) -> Callable[[str], None]:
     """Where a line about every trial goes: onto one line of a terminal, else below each other."""
     if config.train.quiet:
         return lambda line: None
@@ -171,4 +193,8 @@ def _teller(console: Console, update: Callable[[str], None], config: Config) -> 
 
 def _comments(summary: Summary, command: Sequence[str]) -> list[str]:
     full = "+".join(summary.design.full)
-    return [f"of {full} on {summary.scene} with {summary.views} views.", shlex.join(command), *conclusions(summary)]
+    return [
+        f"of {full} on {summary.scene} with {summary.views} views.",
+        shlex.join(command),
+        *conclusions(summary),
+    ]

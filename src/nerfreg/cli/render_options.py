@@ -43,7 +43,9 @@ def parse_render_options(words: Sequence[str]) -> RenderOptions:
     assert isinstance(options, RenderOptions)
     for key, choices in CHOICES.items():
         if getattr(options, key) not in choices:
-            raise NerfregError(f"{key}={getattr(options, key)}: {nearest(getattr(options, key), choices)}")
+            raise NerfregError(
+                f"{key}={getattr(options, key)}: {nearest(getattr(options, key), choices)}"
+            )
     if options.frames < 1 or options.fps <= 0:
         raise NerfregError(f"frames={options.frames} fps={options.fps}: both must be positive")
     return options

@@ -104,9 +104,18 @@ def print_table(table: Table) -> None:
     from rich.table import Table as Grid
     from rich.text import Text
 
-    grid = Grid(title=table.title, box=box.SIMPLE_HEAD, pad_edge=False, padding=0, title_justify="left")
-    grid.add_column("method", overflow="fold", min_width=min(max(len(row.label) for row in table.rows), NAME_WIDTH))
-    for heading in (*(column.heading.replace(" ", "\n", 1) for column in table.columns), table.counted):
+    grid = Grid(
+        title=table.title, box=box.SIMPLE_HEAD, pad_edge=False, padding=0, title_justify="left"
+    )
+    grid.add_column(
+        "method",
+        overflow="fold",
+        min_width=min(max(len(row.label) for row in table.rows), NAME_WIDTH),
+    )
+    for heading in (
+        *(column.heading.replace(" ", "\n", 1) for column in table.columns),
+        table.counted,
+    ):
         grid.add_column(heading, justify="right")
     for row in table.rows:
         cells = [

@@ -121,7 +121,9 @@ def _render(words: list[str]) -> None:
 
     options = parse_render_options(words[1:])
     out = Path(options.out) if options.out else run / "renders"
-    render_run(run, options.path, out, frames=options.frames, fps=options.fps, format=options.format)
+    render_run(
+        run, options.path, out, frames=options.frames, fps=options.fps, format=options.format
+    )
 
 
 def _cite(words: list[str]) -> None:
@@ -167,13 +169,19 @@ def _prune(words: list[str]) -> int:
 
 VERBS = {
     "train": Verb("[overrides]", "train on a scene; Hydra overrides choose everything", _train),
-    "evaluate": Verb("RUN [overrides]", "score a run's checkpoint on the test views again", _evaluate),
+    "evaluate": Verb(
+        "RUN [overrides]", "score a run's checkpoint on the test views again", _evaluate
+    ),
     "render": Verb("RUN [options]", "render test views, or a path to a video", _render),
-    "scene": Verb("[overrides]", "what is found in a scene's files, and a picture of its cameras", _scene),
+    "scene": Verb(
+        "[overrides]", "what is found in a scene's files, and a picture of its cameras", _scene
+    ),
     "plugins": Verb("", "the installed regularizers", _plugins),
     "check": Verb("[PLUGIN ...] [options]", "plugins against stiff and extreme cases", _check),
     "bench": Verb("NAME [options]", "error against run time of what nerfreg computes", _bench),
-    "report": Verb("RUNS... [options]", "tables, plots and a page of error against run time", _report),
+    "report": Verb(
+        "RUNS... [options]", "tables, plots and a page of error against run time", _report
+    ),
     "prune": Verb("[overrides] [options]", "which regularizers a scene can do without", _prune),
     "cite": Verb("RUN", "BibTeX of everything that a run used", _cite),
 }
@@ -216,7 +224,10 @@ Overrides are those of nerfreg train, and select what is to be judged: scene=...
 
 def _verb_help(name: str) -> str:
     return "\n\n".join(
-        filter(None, (f"usage: nerfreg {name} {VERBS[name].usage}", VERBS[name].help, DETAILS.get(name)))
+        filter(
+            None,
+            (f"usage: nerfreg {name} {VERBS[name].usage}", VERBS[name].help, DETAILS.get(name)),
+        )
     )
 
 

@@ -6,7 +6,12 @@ import re
 from collections.abc import Iterator, Sequence
 
 from hydra.errors import HydraException, MissingConfigException, OverrideParseException
-from omegaconf.errors import ConfigAttributeError, ConfigKeyError, MissingMandatoryValue, OmegaConfBaseException
+from omegaconf.errors import (
+    ConfigAttributeError,
+    ConfigKeyError,
+    MissingMandatoryValue,
+    OmegaConfBaseException,
+)
 from yaml import YAMLError
 
 from nerfreg.config.schema import options
@@ -29,9 +34,15 @@ class Refused(BaseException):
 
 def check_overrides(overrides: Sequence[str]) -> None:
     """Refuse a second `+reg=`, which Hydra answers in terms of defaults lists."""
-    choices = [override.split("=", 1)[1].strip("[]") for override in overrides if re.match(r"\+*reg=", override)]
+    choices = [
+        override.split("=", 1)[1].strip("[]")
+        for override in overrides
+        if re.match(r"\+*reg=", override)
+    ]
     if len(choices) > 1:
-        raise NerfregError(f"reg is chosen {len(choices)} times; write one list: '+reg=[{','.join(choices)}]'")
+        raise NerfregError(
+            f"reg is chosen {len(choices)} times; write one list: '+reg=[{','.join(choices)}]'"
+        )
 
 
 def explain(error: Exception, plugins: Sequence[PluginInfo], overrides: Sequence[str] = ()) -> str:
@@ -51,7 +62,9 @@ def explain(error: Exception, plugins: Sequence[PluginInfo], overrides: Sequence
         return f"cannot read '{error.override}': {_first_line(error)}; quote lists, as in '+reg=[kl,lipschitz]'"
     text = str(error)
     if match := re.match(r"Could not override '([\w/]+)'. No match in the defaults list", text):
-        override = next((word for word in overrides if word.startswith(f"{match[1]}=")), f"{match[1]}=...")
+        override = next(
+            (word for word in overrides if word.startswith(f"{match[1]}=")), f"{match[1]}=..."
+        )
         return f"{override}: no {match[1]} is chosen by default that this could replace; write +{override}"
     if match := re.match(r"Ambiguous value for argument '(.*)=(.*)'", text):
         key, values = match.groups()
@@ -75,7 +88,9 @@ def _where(error: BaseException) -> str:
     return f"in {match[1]}.yaml: " if match else ""
 
 
-def _unknown_key(error: ConfigKeyError | ConfigAttributeError, plugins: Sequence[PluginInfo]) -> str:
+def _unknown_key(
+    error: ConfigKeyError | ConfigAttributeError, plugins: Sequence[PluginInfo]
+) -> str:
     full_key, key = str(error.full_key), str(error.key)
     parent = full_key.removesuffix(key)
     if parent == "reg.":
@@ -101,6 +116,10 @@ def _unknown_choice(error: MissingConfigException, plugins: Sequence[PluginInfo]
             if plugin.name == name and plugin.error:
                 return f"plugin '{name}' of package {plugin.package}: {plugin.error}"
         return f"unknown plugin or preset '{name}' in reg={name}; {nearest(name, options(group, plugins))}"
-    known = (option for option in error.options or options(group, plugins) if not option.endswith("_schema"))
+    known = (
+        option
+        for option in error.options or options(group, plugins)
+        if not option.endswith("_schema")
+    )
     extra = "; more come with pip install 'nerfreg[sweep]'" if group in EXTRA else ""
     return f"unknown choice {group}={name}; {nearest(name, known)}{extra}"

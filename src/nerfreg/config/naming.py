@@ -27,7 +27,9 @@ def overrides_name(overrides: Sequence[str]) -> str:
 
     The order of the overrides makes no difference; regularizers and seed come first, and paths are their last part.
     """
-    text = ",".join(sorted((override for override in overrides if _key(override) not in UNNAMED), key=_rank))
+    text = ",".join(
+        sorted((override for override in overrides if _key(override) not in UNNAMED), key=_rank)
+    )
     short = slug(re.sub(r"=[^,\[\]]*/", "=", text))
     return short if short == _without_syntax(text) else f"{short}_{digest(text)}"
 
@@ -43,7 +45,9 @@ def run_name(*, _root_: DictConfig) -> str:
     if name:
         return slug(name)
     overrides = OmegaConf.select(_root_, "hydra.overrides.task", default=[])
-    selection = next((override for override in overrides if override.startswith("+reg=")), "").partition("=")[2]
+    selection = next(
+        (override for override in overrides if override.startswith("+reg=")), ""
+    ).partition("=")[2]
     selection = selection or "+".join(OmegaConf.select(_root_, "reg", default={})) or "vanilla"
     return slug(f"{OmegaConf.select(_root_, 'hydra.runtime.choices.scene')}_{selection}")
 

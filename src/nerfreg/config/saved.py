@@ -44,7 +44,9 @@ def restored(saved: Any, source: str, overrides: Sequence[str] = ()) -> Config:
         for name in OmegaConf.select(saved, "reg", default={}):
             cls = classes.get(name)
             if cls is None:
-                raise NerfregError(f"{source}: reg.{name} is not installed here; see `nerfreg plugins`")
+                raise NerfregError(
+                    f"{source}: reg.{name} is not installed here; see `nerfreg plugins`"
+                )
             schema.reg[name] = plugin_schema(name, cls)
         known = OmegaConf.merge(schema, saved)
         OmegaConf.set_struct(known, True)

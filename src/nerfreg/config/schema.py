@@ -60,7 +60,9 @@ class Config:
     device: str = "auto"
     scene: Any = None
     field: FieldConfig = dataclasses.field(default_factory=_late("nerfreg.field", "FieldConfig"))
-    sampler: SamplerConfig = dataclasses.field(default_factory=_late("nerfreg.rendering", "SamplerConfig"))
+    sampler: SamplerConfig = dataclasses.field(
+        default_factory=_late("nerfreg.rendering", "SamplerConfig")
+    )
     optim: OptimConfig = dataclasses.field(default_factory=_late("nerfreg.training", "OptimConfig"))
     train: TrainConfig = dataclasses.field(default_factory=_late("nerfreg.training", "TrainConfig"))
     eval: EvalConfig = dataclasses.field(default_factory=_late("nerfreg.evaluation", "EvalConfig"))
@@ -138,7 +140,11 @@ def user_folders() -> list[Path]:
     """`./conf` and `$XDG_CONFIG_HOME/nerfreg`, where they exist."""
     home = os.environ.get("XDG_CONFIG_HOME") or Path.home() / ".config"
     folders = [Path.cwd() / "conf", Path(home) / "nerfreg"]
-    return [folder for folder in folders if folder.is_dir() and folder.resolve() != own_folder().resolve()]
+    return [
+        folder
+        for folder in folders
+        if folder.is_dir() and folder.resolve() != own_folder().resolve()
+    ]
 
 
 def preset_folders(plugins: Sequence[PluginInfo]) -> list[Path]:
@@ -176,7 +182,11 @@ class _SearchPath(SearchPathPlugin):
 def _refuse_unknown(node: DictConfig, path: str = "") -> None:
     """A `+key=value` override can add keys that no dataclass has; they would change nothing, silently."""
     schema = OmegaConf.get_type(node)
-    known = {field.name for field in dataclasses.fields(schema)} if dataclasses.is_dataclass(schema) else None
+    known = (
+        {field.name for field in dataclasses.fields(schema)}
+        if dataclasses.is_dataclass(schema)
+        else None
+    )
     for key in map(str, node):
         if known is not None and key not in known:
             raise NerfregError(f"unknown key '{path}{key}'; {nearest(key, known)}")
@@ -203,17 +213,23 @@ def validated(node: DictConfig) -> Config:
     _refuse_unknown(node)
     scene = OmegaConf.to_object(node.scene) if OmegaConf.is_config(node.scene) else None
     if not isinstance(scene, SceneConfig) or node.scene.format not in SCENES:
-        raise NerfregError("scene: has no schema; begin the file's defaults list with e.g. `- llff_schema`")
+        raise NerfregError(
+            "scene: has no schema; begin the file's defaults list with e.g. `- llff_schema`"
+        )
     _refuse_unselected(node)
     if scene.layout is None:
         node = deepcopy(node)
         node.scene.layout = load_scene(scene).layout
     config = OmegaConf.to_object(node)
     if not isinstance(config, Config):
-        raise NerfregError("the configuration has no schema; begin its defaults list with `- schema`")
+        raise NerfregError(
+            "the configuration has no schema; begin its defaults list with `- schema`"
+        )
     for room in ROOMS:
         value = getattr(config, room)
         if not dataclasses.is_dataclass(value):
-            raise NerfregError(f"{room}={value}: is a group of keys; `nerfreg train --cfg job` shows them")
+            raise NerfregError(
+                f"{room}={value}: is a group of keys; `nerfreg train --cfg job` shows them"
+            )
     Hooks(config.reg)  # refuses what cannot work together before anything is read
     return config

@@ -33,9 +33,13 @@ class EvalConfig:
 
     def __post_init__(self) -> None:
         one = (1, math.inf)
-        require_range("eval", self, count=one, subset_size=one, pixels_stride=one, save_renders=(0, math.inf))
+        require_range(
+            "eval", self, count=one, subset_size=one, pixels_stride=one, save_renders=(0, math.inf)
+        )
         if self.at is not None and not all(0 < share <= 1 for share in self.at):
-            raise NerfregError(f"eval.at={list(self.at)}: must be shares of the budget, above 0 and up to 1")
+            raise NerfregError(
+                f"eval.at={list(self.at)}: must be shares of the budget, above 0 and up to 1"
+            )
 
     def times(self, seconds: float | None, steps: int | None) -> tuple[float, ...]:
         """Shares of a budget at which a run is scored, ascending, ending with 1."""

@@ -36,7 +36,10 @@ def color_map(values: Float[Tensor, "height width"], name: str) -> Float[Tensor,
 
 
 def depth_image(
-    depth: Float[Tensor, "height width"], near: float, far: float, opacity: Float[Tensor, "height width"]
+    depth: Float[Tensor, "height width"],
+    near: float,
+    far: float,
+    opacity: Float[Tensor, "height width"],
 ) -> Float[Tensor, "height width 3"]:
     """Depth as colour, bright where near, dark blue at far, fading to black as rays are empty.
 
@@ -45,7 +48,9 @@ def depth_image(
     near = max(near, 1e-3 * far)  # a near of 0 has no logarithm
     depth = depth.detach().clamp(near, far)
     closeness = torch.log(far / depth) / np.log(far / near)
-    return color_map(closeness, "viridis") * opacity.detach().nan_to_num(0.0).clamp(0, 1).unsqueeze(-1)
+    return color_map(closeness, "viridis") * opacity.detach().nan_to_num(0.0).clamp(0, 1).unsqueeze(
+        -1
+    )
 
 
 def side_by_side(

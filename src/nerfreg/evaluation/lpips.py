@@ -46,14 +46,20 @@ class LPIPS:
         """Read `convI.weight`, `convI.bias` and `linI.weight`, I from 0 to 4, of a safetensors file."""
         try:
             tensors = load_file(path)
-            convolutions = tuple((tensors[f"conv{i}.weight"], tensors[f"conv{i}.bias"]) for i in range(LAYERS))
+            convolutions = tuple(
+                (tensors[f"conv{i}.weight"], tensors[f"conv{i}.bias"]) for i in range(LAYERS)
+            )
             heads = tuple(tensors[f"lin{i}.weight"] for i in range(LAYERS))
         except (OSError, SafetensorError, KeyError) as error:
-            raise NerfregError(f"{path}: eval.lpips_weights holds no LPIPS AlexNet weights ({error})") from error
+            raise NerfregError(
+                f"{path}: eval.lpips_weights holds no LPIPS AlexNet weights ({error})"
+            ) from error
         return cls(convolutions, heads)
 
     @torch.no_grad()
-    def __call__(self, image: Float[Tensor, "height width 3"], target: Float[Tensor, "height width 3"]) -> float | None:
+    def __call__(
+        self, image: Float[Tensor, "height width 3"], target: Float[Tensor, "height width 3"]
+    ) -> float | None:
         """LPIPS of two images in [0, 1]; None where they are too small for AlexNet (a side below 31 pixels)."""
         if min(image.shape[:2]) < MIN_SIDE:
             return None
@@ -63,7 +69,9 @@ class LPIPS:
         for i, (weight, bias) in enumerate(self.convolutions):
             if i in POOLED_BEFORE:
                 x = functional.max_pool2d(x, kernel_size=3, stride=2)
-            x = functional.relu(functional.conv2d(x, weight, bias, stride=STRIDES[i], padding=PADDING[i]))
+            x = functional.relu(
+                functional.conv2d(x, weight, bias, stride=STRIDES[i], padding=PADDING[i])
+            )
             unit = x / (x.square().sum(1, keepdim=True).sqrt() + 1e-10)
             difference = (unit[0] - unit[1]).square()
             distance += functional.conv2d(difference, self.heads[i]).mean().item()

@@ -47,7 +47,9 @@ def find_lpips_weights(configured: str | None) -> Path | None:
     if configured is not None:
         path = Path(configured).expanduser()
         if not path.is_file():
-            raise NerfregError(f"eval.lpips_weights={configured}: no such file; leave it null to look for the weights")
+            raise NerfregError(
+                f"eval.lpips_weights={configured}: no such file; leave it null to look for the weights"
+            )
         return path
     data = os.environ.get("NERFREG_DATA")
     if data and (path := Path(data) / "lpips" / WEIGHTS_NAME).is_file():
@@ -73,7 +75,14 @@ def _join_published_weights(folder: Path) -> Path | None:
             tensors[f"lin{i}.weight"] = heads[f"lin{i}.model.1.weight"].contiguous()
         with atomic(joined) as part:
             save_file(tensors, part)
-    except (OSError, RuntimeError, KeyError, EOFError, pickle.UnpicklingError, NerfregError) as error:
+    except (
+        OSError,
+        RuntimeError,
+        KeyError,
+        EOFError,
+        pickle.UnpicklingError,
+        NerfregError,
+    ) as error:
         log.warning("%s: cannot be used for LPIPS (%s)", checkpoint, str(error).splitlines()[0])
         return None
     return joined
@@ -98,7 +107,11 @@ def _download(url: str, path: Path) -> bool:
     def fetch() -> None:
         digest = hashlib.sha256()
         try:
-            with urlopen(url, timeout=CONNECT_SECONDS) as response, atomic(path) as part, part.open("wb") as file:
+            with (
+                urlopen(url, timeout=CONNECT_SECONDS) as response,
+                atomic(path) as part,
+                part.open("wb") as file,
+            ):
                 connected.set()
                 log.info("downloading %s (233 MB, once), for LPIPS", url)
                 while chunk := response.read(1 << 20):

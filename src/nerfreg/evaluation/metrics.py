@@ -19,14 +19,21 @@ def psnr(image: Float[Tensor, "height width 3"], target: Float[Tensor, "height w
 
 
 @torch.no_grad()
-def ssim(image: Float[Tensor, "height width 3"], target: Float[Tensor, "height width 3"]) -> float | None:
+def ssim(
+    image: Float[Tensor, "height width 3"], target: Float[Tensor, "height width 3"]
+) -> float | None:
     """Structural similarity (Wang et al. 2004) of images in [0, 1]; None where the window does not fit into them."""
     from torchmetrics.functional.image import structural_similarity_index_measure
 
     if min(image.shape[:2]) < SSIM_WINDOW:
         return None
-    channels_first, target_first = image.movedim(-1, 0).contiguous(), target.movedim(-1, 0).contiguous()
-    value = structural_similarity_index_measure(channels_first[None], target_first[None], sigma=1.5, data_range=1.0)
+    channels_first, target_first = (
+        image.movedim(-1, 0).contiguous(),
+        target.movedim(-1, 0).contiguous(),
+    )
+    value = structural_similarity_index_measure(
+        channels_first[None], target_first[None], sigma=1.5, data_range=1.0
+    )
     assert isinstance(value, Tensor)
     return value.item()
 
@@ -42,7 +49,9 @@ def average(psnr: float, ssim: float | None, lpips: float | None) -> float | Non
     return math.cbrt(10.0 ** (-psnr / 10.0) * math.sqrt(max(0.0, 1.0 - ssim)) * lpips)
 
 
-def depth_rmse(depth: Float[Tensor, "height width"], truth: Float[Tensor, "height width"]) -> float | None:
+def depth_rmse(
+    depth: Float[Tensor, "height width"], truth: Float[Tensor, "height width"]
+) -> float | None:
     """Root of the mean squared depth error, world units, over pixels where the truth is finite; None without any.
 
     An empty ray counts with the depth it was given, `far`: a hole in a surface is an error.

@@ -32,7 +32,9 @@ def spiral_path(scene: Scene, frames: int) -> Cameras:
     origins = []
     for i in range(frames):
         angle = 4 * math.pi * i / frames
-        offset = torch.tensor([math.cos(angle), math.sin(angle), math.sin(angle / 2)], dtype=poses.dtype)
+        offset = torch.tensor(
+            [math.cos(angle), math.sin(angle), math.sin(angle / 2)], dtype=poses.dtype
+        )
         origins.append(center + frame @ (offset * extent))
     return _cameras(scene, [look_at(origin, target, up) for origin in origins])
 
@@ -85,5 +87,9 @@ def _cameras(scene: Scene, poses: list[Float[Tensor, "3 4"]]) -> Cameras:
     def repeat(intrinsics: Tensor) -> Tensor:
         return intrinsics[first].expand(len(poses), -1).clone()
 
-    focal, center, distortion = repeat(cameras.focal), repeat(cameras.center), repeat(cameras.distortion)
+    focal, center, distortion = (
+        repeat(cameras.focal),
+        repeat(cameras.center),
+        repeat(cameras.distortion),
+    )
     return Cameras(cameras.width, cameras.height, torch.stack(poses), focal, center, distortion)

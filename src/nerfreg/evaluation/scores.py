@@ -51,7 +51,9 @@ class Scores:
 
     def record(self) -> dict[str, float | None]:
         """The means by name, as they stand in `metrics.jsonl` and `results.json`."""
-        return {name: getattr(self, name) for name in ("psnr", "ssim", "lpips", "average", "depth_rmse")}
+        return {
+            name: getattr(self, name) for name in ("psnr", "ssim", "lpips", "average", "depth_rmse")
+        }
 
 
 def score_views(

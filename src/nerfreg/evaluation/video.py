@@ -16,7 +16,9 @@ from nerfreg.evaluation.images import to_uint8
 from nerfreg.files import atomic
 
 
-def write_video(path: Path, frames: Iterable[Float[Tensor, "height width 3"]], fps: int | float = 30) -> None:
+def write_video(
+    path: Path, frames: Iterable[Float[Tensor, "height width 3"]], fps: int | float = 30
+) -> None:
     """Write frames in [0, 1] to a .gif (endless; delays in whole 1/100 s) or .mp4 file, whole or not at all.
 
     Raises NerfregError for other suffixes, without frames, and for mp4 where imageio-ffmpeg is not installed; that
@@ -27,7 +29,9 @@ def write_video(path: Path, frames: Iterable[Float[Tensor, "height width 3"]], f
     if writer is None:
         raise NerfregError(f"{path}: unknown kind of film {path.suffix!r}; use .gif or .mp4")
     if writer is _write_mp4 and importlib.util.find_spec("imageio_ffmpeg") is None:
-        raise NerfregError(f"{path}: mp4 needs imageio-ffmpeg; pip install nerfreg[video], or write a .gif")
+        raise NerfregError(
+            f"{path}: mp4 needs imageio-ffmpeg; pip install nerfreg[video], or write a .gif"
+        )
     with atomic(path) as part:
         count = writer(part, (to_uint8(frame) for frame in frames), fps)
         if count == 0:
@@ -48,7 +52,9 @@ def _write_mp4(path: Path, frames: Iterable[np.ndarray], fps: int | float) -> in
 
     count = 0
     # macro_block_size 1: imageio would otherwise rescale frames whose sides are no multiples of 16
-    film: Any = get_writer(path, format="FFMPEG", fps=fps, codec="libx264", quality=8, macro_block_size=1)
+    film: Any = get_writer(
+        path, format="FFMPEG", fps=fps, codec="libx264", quality=8, macro_block_size=1
+    )
     with film:
         for frame in frames:
             film.append_data(_even_sides(frame))

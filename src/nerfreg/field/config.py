@@ -41,7 +41,9 @@ class FieldConfig:
 
     def __post_init__(self) -> None:
         one = (1, math.inf)
-        require_range("field", self, levels=one, base=one, finest=(self.base, 65536), log2_entries=(3, 26))
+        require_range(
+            "field", self, levels=one, base=one, finest=(self.base, 65536), log2_entries=(3, 26)
+        )
         require_range("field", self, hidden=one, geometry=one, density_layers=one, color_layers=one)
         require_choice("field", self, "precision", PRECISIONS)
         require_choice("field", self, "backend", BACKENDS)

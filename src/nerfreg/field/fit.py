@@ -21,7 +21,9 @@ def fitted(config: FieldConfig, scene: Scene) -> FieldConfig:
     views = list(scene.train)
     footprint = scene.near / float(scene.cameras.focal[views].max())
     side = float((scene.box[1] - scene.box[0]).max())
-    resolutions = GridLayout(config.levels, config.base, config.finest, config.log2_entries).resolutions
+    resolutions = GridLayout(
+        config.levels, config.base, config.finest, config.log2_entries
+    ).resolutions
     levels = max(1, sum(side / float(resolution) >= footprint for resolution in resolutions))
     pixels = len(views) * scene.cameras.width * scene.cameras.height
     return replace(

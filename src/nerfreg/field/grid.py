@@ -41,7 +41,9 @@ class HashGrid(nn.Module):
         finally:
             self._shared = None
 
-    def forward(self, positions: Float[Tensor, "points 3"], levels: int) -> Float[Tensor, "points features"]:
+    def forward(
+        self, positions: Float[Tensor, "points 3"], levels: int
+    ) -> Float[Tensor, "points features"]:
         """Features of the coarsest `levels` levels, (P, 2 * levels); the finer ones are not evaluated."""
         if self._compiled(positions):
             from nerfreg.field import grid_numba

@@ -27,7 +27,9 @@ class GridLayout:
     def resolutions(self) -> np.ndarray:
         """(L,) cells a side of each level."""
         growth = (self.finest / self.base) ** (1 / max(self.levels - 1, 1))
-        return np.array([int(self.base * growth**level + 1e-6) for level in range(self.levels)], dtype=np.int64)
+        return np.array(
+            [int(self.base * growth**level + 1e-6) for level in range(self.levels)], dtype=np.int64
+        )
 
     @cached_property
     def dense(self) -> np.ndarray:

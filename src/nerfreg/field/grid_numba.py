@@ -63,8 +63,18 @@ def _locate(positions, start, count, cells, dense, mask, vertices, inside):
             y0, z0 = j * PRIME_Y, k * PRIME_Z
             y1, z1 = y0 + PRIME_Y, z0 + PRIME_Z
             a, b, c, d = y0 ^ z0, y1 ^ z0, y0 ^ z1, y1 ^ z1
-            v0[p], v1[p], v2[p], v3[p] = (i ^ a) & mask, (i1 ^ a) & mask, (i ^ b) & mask, (i1 ^ b) & mask
-            v4[p], v5[p], v6[p], v7[p] = (i ^ c) & mask, (i1 ^ c) & mask, (i ^ d) & mask, (i1 ^ d) & mask
+            v0[p], v1[p], v2[p], v3[p] = (
+                (i ^ a) & mask,
+                (i1 ^ a) & mask,
+                (i ^ b) & mask,
+                (i1 ^ b) & mask,
+            )
+            v4[p], v5[p], v6[p], v7[p] = (
+                (i ^ c) & mask,
+                (i1 ^ c) & mask,
+                (i ^ d) & mask,
+                (i1 ^ d) & mask,
+            )
 
 
 @no_type_check
@@ -148,8 +158,18 @@ def _forward_share(positions, table, offsets, resolutions, dense, mask, features
         entries = table[offsets[level] : offsets[level + 1]]
         for start in range(first, stop, BLOCK):
             count = min(BLOCK, stop - start)
-            _locate(positions, start, count, resolutions[level], dense[level], mask, vertices, inside)
-            _gather(entries, vertices, inside, features[2 * level], features[2 * level + 1], start, count)
+            _locate(
+                positions, start, count, resolutions[level], dense[level], mask, vertices, inside
+            )
+            _gather(
+                entries,
+                vertices,
+                inside,
+                features[2 * level],
+                features[2 * level + 1],
+                start,
+                count,
+            )
 
 
 @no_type_check
@@ -159,7 +179,9 @@ def _forward(positions, table, offsets, resolutions, dense, mask, threads, featu
     share = (points + threads - 1) // threads
     for thread in prange(threads):
         stop = min(points, (thread + 1) * share)
-        _forward_share(positions, table, offsets, resolutions, dense, mask, features, thread * share, stop)
+        _forward_share(
+            positions, table, offsets, resolutions, dense, mask, features, thread * share, stop
+        )
 
 
 @no_type_check
@@ -172,13 +194,26 @@ def _backward_table(positions, grad, offsets, resolutions, dense, mask, threads,
             entries = table_grad[offsets[level] : offsets[level + 1]]
             for start in range(0, points, BLOCK):
                 count = min(BLOCK, points - start)
-                _locate(positions, start, count, resolutions[level], dense[level], mask, vertices, inside)
-                _scatter(entries, vertices, inside, grad[2 * level], grad[2 * level + 1], start, count)
+                _locate(
+                    positions,
+                    start,
+                    count,
+                    resolutions[level],
+                    dense[level],
+                    mask,
+                    vertices,
+                    inside,
+                )
+                _scatter(
+                    entries, vertices, inside, grad[2 * level], grad[2 * level + 1], start, count
+                )
 
 
 @no_type_check
 @njit(parallel=True, **COMPILED)
-def _backward_positions(positions, table, grad, offsets, resolutions, dense, mask, threads, position_grad):
+def _backward_positions(
+    positions, table, grad, offsets, resolutions, dense, mask, threads, position_grad
+):
     points = positions.shape[1]
     share = (points + threads - 1) // threads
     for thread in prange(threads):
@@ -231,7 +266,12 @@ class _Share(torch.autograd.Function):
 class _Encode(torch.autograd.Function):
     @staticmethod
     def forward(
-        ctx: Any, positions: Tensor, table: Tensor, layout: GridLayout, levels: int, shared: SharedTable | None
+        ctx: Any,
+        positions: Tensor,
+        table: Tensor,
+        layout: GridLayout,
+        levels: int,
+        shared: SharedTable | None,
     ) -> Tensor:
         features = torch.empty(FEATURES * levels, len(positions))
         rows = positions.detach().t().contiguous()
@@ -252,7 +292,9 @@ class _Encode(torch.autograd.Function):
         arguments = *_arguments(ctx.layout), get_num_threads()
         table_grad = position_grad = None
         if ctx.needs_input_grad[1]:
-            buffer, new = (torch.zeros(table.shape), True) if ctx.shared is None else ctx.shared.buffer()
+            buffer, new = (
+                (torch.zeros(table.shape), True) if ctx.shared is None else ctx.shared.buffer()
+            )
             _backward_table(positions, grad, *arguments, _pairs(buffer))
             table_grad = buffer if new else None
         if ctx.needs_input_grad[0]:

@@ -10,14 +10,19 @@ from nerfreg.field.grid_layout import PRIMES, GridLayout
 
 
 def encode(
-    positions: Float[Tensor, "points 3"], table: Float[Tensor, "entries 2"], layout: GridLayout, levels: int
+    positions: Float[Tensor, "points 3"],
+    table: Float[Tensor, "entries 2"],
+    layout: GridLayout,
+    levels: int,
 ) -> Float[Tensor, "points features"]:
     """Interpolate the features of the coarsest `levels` levels at positions in the unit cube, (P, 2 * levels).
 
     Differentiable in both the table and the positions. Positions outside the cube extrapolate the border cell.
     """
     columns = []
-    corners = torch.tensor([[i >> axis & 1 for axis in range(3)] for i in range(8)], device=positions.device)
+    corners = torch.tensor(
+        [[i >> axis & 1 for axis in range(3)] for i in range(8)], device=positions.device
+    )
     for level in range(levels):
         cells = int(layout.resolutions[level])
         scaled = positions * cells

@@ -39,7 +39,9 @@ class AffineLayer(nn.Module):
         affine = self.effective()
         assert affine is not None, "a layer that is not always affine overrides forward"
         return shifted(
-            ACTIVATIONS[self.activation](functional.linear(shifted(x, self.input_shift()), *affine)),
+            ACTIVATIONS[self.activation](
+                functional.linear(shifted(x, self.input_shift()), *affine)
+            ),
             self.output_shift(),
         )
 

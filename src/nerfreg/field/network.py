@@ -51,11 +51,15 @@ class Network(nn.Module):
             x, scale, gap = _scaled(_without(x, gap), scale) + shift, None, None
         if gap is not None:
             known = weights[0]
-            weights[0] = torch.cat([known[:, :gap], known.new_zeros(len(known), 1), known[:, gap:]], dim=1)
+            weights[0] = torch.cat(
+                [known[:, :gap], known.new_zeros(len(known), 1), known[:, gap:]], dim=1
+            )
         used = weights[0][:, : x.shape[1]]
         weights[0] = used if scale is None else used * scale[: x.shape[1]]
         activations = tuple(layer.activation for layer in self.layers)
-        return shifted(_FusedNetwork.apply(x, activations, self._precision(x), *weights), last.output_shift())
+        return shifted(
+            _FusedNetwork.apply(x, activations, self._precision(x), *weights), last.output_shift()
+        )
 
     def _affine(self) -> list[Any] | None:
         """Weight and bias of every layer in turn; None where the fused kernels cannot run.
@@ -97,7 +101,11 @@ def _without(x: Tensor, column: int | None) -> Tensor:
 
 def _scaled(x: Tensor, scale: Tensor | None) -> Tensor:
     """The features times their factors, with zeros for those that are missing."""
-    return x if scale is None else functional.pad(x * scale[: x.shape[1]], (0, len(scale) - x.shape[1]))
+    return (
+        x
+        if scale is None
+        else functional.pad(x * scale[: x.shape[1]], (0, len(scale) - x.shape[1]))
+    )
 
 
 class _FusedNetwork(torch.autograd.Function):
@@ -109,7 +117,11 @@ class _FusedNetwork(torch.autograd.Function):
 
     @staticmethod
     def forward(
-        ctx: Any, x: Tensor, activations: tuple[str, ...], precision: torch.dtype, *parameters: Tensor | None
+        ctx: Any,
+        x: Tensor,
+        activations: tuple[str, ...],
+        precision: torch.dtype,
+        *parameters: Tensor | None,
     ) -> Tensor:
         layers = _layers(activations, parameters, precision)
         training = any(ctx.needs_input_grad)
@@ -120,7 +132,11 @@ class _FusedNetwork(torch.autograd.Function):
             buffers = [] if training else [_empty(CHUNK, layer) for layer in layers[:-1]]
             for start in range(first, last, CHUNK):
                 stop = min(start + CHUNK, last)
-                rows = [k[start:stop] for k in kept] if training else [b[: stop - start] for b in buffers]
+                rows = (
+                    [k[start:stop] for k in kept]
+                    if training
+                    else [b[: stop - start] for b in buffers]
+                )
                 hidden = x[start:stop]
                 for layer, out in zip(layers, [*rows, output[start:stop]], strict=True):
                     hidden = layer.forward(hidden, out)
@@ -153,9 +169,13 @@ class _FusedNetwork(torch.autograd.Function):
                     activation = layers[i - 1].activation if i else "none"
                     layers[i].add_parameter_grads(sums[2 * i : 2 * i + 2], grad, before, activation)
                     if i:
-                        grad = layers[i].backward(grad, buffers[i][: stop - start], before, activation)
+                        grad = layers[i].backward(
+                            grad, buffers[i][: stop - start], before, activation
+                        )
                     elif x_grad is not None:
-                        x_grad[start:stop] = torch.mm(grad, layers[0].weight, out=buffers[0][: stop - start])
+                        x_grad[start:stop] = torch.mm(
+                            grad, layers[0].weight, out=buffers[0][: stop - start]
+                        )
             return sums
 
         shares = in_shares(len(x), CHUNK, run)
@@ -192,7 +212,9 @@ class _Layer(NamedTuple):
             torch.ops.aten.gelu_backward.grad_input(grad, before, grad_input=grad)
         return grad
 
-    def add_parameter_grads(self, sums: Sequence[Tensor | None], grad: Tensor, before: Tensor, activation: str) -> None:
+    def add_parameter_grads(
+        self, sums: Sequence[Tensor | None], grad: Tensor, before: Tensor, activation: str
+    ) -> None:
         """Add the sums over the points of a chunk to those before it."""
         weight, bias = sums
         if weight is not None:
@@ -205,9 +227,13 @@ class _Layer(NamedTuple):
             bias += grad.sum(dim=0, dtype=bias.dtype)
 
 
-def _layers(activations: tuple[str, ...], parameters: Sequence[Tensor | None], precision: torch.dtype) -> list[_Layer]:
+def _layers(
+    activations: tuple[str, ...], parameters: Sequence[Tensor | None], precision: torch.dtype
+) -> list[_Layer]:
     weights = [weight for weight in parameters[::2] if weight is not None]
-    *hidden, last = [_Layer(*parts) for parts in zip(weights, parameters[1::2], activations, strict=True)]
+    *hidden, last = [
+        _Layer(*parts) for parts in zip(weights, parameters[1::2], activations, strict=True)
+    ]
     return [*(_rounded(layer, precision) for layer in hidden), last]
 
 

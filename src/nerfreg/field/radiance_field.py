@@ -29,19 +29,31 @@ class RadianceField(nn.Module):
 
     center: Tensor
 
-    def __init__(self, config: FieldConfig, box: Float[Tensor, "2 3"], make_layer: LayerFactory) -> None:
+    def __init__(
+        self, config: FieldConfig, box: Float[Tensor, "2 3"], make_layer: LayerFactory
+    ) -> None:
         super().__init__()
         layout = GridLayout(config.levels, config.base, config.finest, config.log2_entries)
         self.grid = HashGrid(layout, config.backend)
         self.bias = config.density_bias
         self.half_box = float((box[1] - box[0]).max()) / 2
         self.register_buffer("center", box.mean(dim=0), persistent=False)
-        geometry, hidden, precision = config.geometry, config.hidden, getattr(torch, config.precision)
+        geometry, hidden, precision = (
+            config.geometry,
+            config.hidden,
+            getattr(torch, config.precision),
+        )
         self.density_network = _build(
-            "density", [layout.features, *[hidden] * (config.density_layers - 1), 1 + geometry], make_layer, precision
+            "density",
+            [layout.features, *[hidden] * (config.density_layers - 1), 1 + geometry],
+            make_layer,
+            precision,
         )
         self.color_network = _build(
-            "color", [WIDTH + geometry, *[hidden] * (config.color_layers - 1), 3], make_layer, precision
+            "color",
+            [WIDTH + geometry, *[hidden] * (config.color_layers - 1), 3],
+            make_layer,
+            precision,
         )
 
     @contextmanager
@@ -68,7 +80,11 @@ class RadianceField(nn.Module):
         levels, scale = layout.levels, None
         if active is not None and active < layout.features:
             levels = math.ceil(max(active, 0) / FEATURES)
-            scale = (active - torch.arange(layout.features, device=unit.device)).clamp(0, 1).to(unit.dtype)
+            scale = (
+                (active - torch.arange(layout.features, device=unit.device))
+                .clamp(0, 1)
+                .to(unit.dtype)
+            )
         return self.density_network(self.grid(unit, levels), scale)
 
     def density(self, raw: Float[Tensor, "*points out"]) -> Float[Tensor, "*points"]:
@@ -98,7 +114,9 @@ class RadianceField(nn.Module):
         return torch.sigmoid(self.color_network(torch.cat([harmonics, raw], dim=1), gap=WIDTH))
 
 
-def _build(network: str, widths: list[int], make_layer: LayerFactory, precision: torch.dtype) -> Network:
+def _build(
+    network: str, widths: list[int], make_layer: LayerFactory, precision: torch.dtype
+) -> Network:
     last = len(widths) - 2
     return Network(
         [

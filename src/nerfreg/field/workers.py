@@ -38,7 +38,9 @@ def in_shares(count: int, chunk: int, work: Callable[[int, int], Result]) -> lis
     sharers = threads()
     chunks = -(-count // chunk)
     per_share = -(-chunks // sharers) * chunk
-    shares = [(start, min(start + per_share, count)) for start in range(0, count, max(per_share, 1))]
+    shares = [
+        (start, min(start + per_share, count)) for start in range(0, count, max(per_share, 1))
+    ]
     if len(shares) < 2:
         return [work(*share) for share in shares]
     grad = torch.is_grad_enabled()
@@ -75,5 +77,7 @@ def _pool(workers: int) -> ThreadPoolExecutor:
     of_torch = torch.get_num_threads()
     pool = ThreadPoolExecutor(workers, "nerfreg", initializer=lambda: _set(1, 1))
     list(pool.map(lambda _: torch.get_num_threads(), range(workers)))
-    torch.set_num_threads(of_torch)  # the number is kept per thread, but new threads take the latest
+    torch.set_num_threads(
+        of_torch
+    )  # the number is kept per thread, but new threads take the latest
     return pool

@@ -26,7 +26,9 @@ def cells_to_judge(finding: Finding, tolerance: float) -> int | None:
     It is settled when the interval is clear of 0, or fits into the tolerance, whichever is nearer.
     """
     mean = abs(finding.gain.mean)
-    return cells_needed(finding.gain.deviation, max(mean, tolerance - mean), finding.error / LATER_LOOKS)
+    return cells_needed(
+        finding.gain.deviation, max(mean, tolerance - mean), finding.error / LATER_LOOKS
+    )
 
 
 def cells_to_confirm(confirmation: Confirmation, tolerance: float) -> int | None:
@@ -35,7 +37,9 @@ def cells_to_confirm(confirmation: Confirmation, tolerance: float) -> int | None
     return cells_needed(gain.deviation, gain.mean + tolerance, confirmation.error / LATER_LOOKS)
 
 
-def budget_needed(design: Design, ledger: Ledger, outcome: Outcome, tolerance: float, budget: float) -> int | None:
+def budget_needed(
+    design: Design, ledger: Ledger, outcome: Outcome, tolerance: float, budget: float
+) -> int | None:
     """Seconds that would probably do for what a study of this budget left open; None: nothing would, or is open."""
     judging: dict[Trial, None] = {}
     for finding in outcome.contributions:
@@ -44,7 +48,9 @@ def budget_needed(design: Design, ledger: Ledger, outcome: Outcome, tolerance: f
     total = (ledger.spent + ledger.cost(judging)) / CONTRIBUTIONS_SHARE if judging else 0.0
     if outcome.pruned == design.full and len(outcome.proposals) > 1:
         # a proposal may take half of what is left, unless no other comes behind it
-        left = _to_confirm(design, ledger, outcome, tolerance) * (2 if len(outcome.proposals) > 2 else 1)
+        left = _to_confirm(design, ledger, outcome, tolerance) * (
+            2 if len(outcome.proposals) > 2 else 1
+        )
         if left:
             total = max(total, left / (1 - CONTRIBUTIONS_SHARE) if judging else ledger.spent + left)
     return GRAIN * math.ceil(max(total, LEAST_GROWTH * budget) / GRAIN) if total else None
@@ -70,7 +76,9 @@ def _to_confirm(design: Design, ledger: Ledger, outcome: Outcome, tolerance: flo
         return ledger.cost(_trials(design, sets, design.first_look, design.ladder[-1]))
     needed = [(c, cells) for c in open_ if (cells := cells_to_confirm(c, tolerance)) is not None]
     costs = [
-        ledger.cost(_trials(design, (design.full, confirmation.regularizers), cells, design.ladder[-1]))
+        ledger.cost(
+            _trials(design, (design.full, confirmation.regularizers), cells, design.ladder[-1])
+        )
         for confirmation, cells in needed
     ]
     return min(costs, default=0.0)

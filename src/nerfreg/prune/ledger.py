@@ -78,7 +78,9 @@ class CellFile:
                 torn = file.tell() > 0 and (file.seek(-1, 2), file.read(1))[1] != b"\n"
                 file.write(b"\n" * torn + json.dumps(record, allow_nan=False).encode() + b"\n")
         except OSError as error:
-            raise NerfregError(f"{self.path}: cannot be written ({error.strerror or error})") from error
+            raise NerfregError(
+                f"{self.path}: cannot be written ({error.strerror or error})"
+            ) from error
 
 
 def flat(trial: Trial) -> dict[str, object]:
@@ -115,8 +117,12 @@ class Ledger:
 
     def cost(self, trials: Iterable[Trial]) -> float:
         """Seconds that those of the trials would take, probably, that have not been measured; 0 if nothing has."""
-        missing = Counter((trial.regularizers, trial.steps) for trial in trials if trial not in self.trials)
-        return math.fsum(count * self._cost(names, steps) for (names, steps), count in missing.items())
+        missing = Counter(
+            (trial.regularizers, trial.steps) for trial in trials if trial not in self.trials
+        )
+        return math.fsum(
+            count * self._cost(names, steps) for (names, steps), count in missing.items()
+        )
 
     def _cost(self, regularizers: Selection, steps: int) -> float:
         """By the trials of the same set, or the costliest of all; loading and scoring take as long for any length."""
@@ -129,15 +135,21 @@ class Ledger:
         same_set = [seconds for (names, _), seconds in scaled.items() if names == regularizers]
         return max(same_set or scaled.values(), default=0.0)
 
-    def gains(self, first: Selection, second: Selection, cells: Sequence[Cell], steps: int) -> list[float]:
+    def gains(
+        self, first: Selection, second: Selection, cells: Sequence[Cell], steps: int
+    ) -> list[float]:
         """PSNR of the first set minus that of the second, over the cells on which both have one."""
         return [a - b for a, b in self._pairs(first, second, cells, steps, lambda m: m.psnr)]
 
-    def average_changes(self, first: Selection, second: Selection, cells: Sequence[Cell], steps: int) -> list[float]:
+    def average_changes(
+        self, first: Selection, second: Selection, cells: Sequence[Cell], steps: int
+    ) -> list[float]:
         """`average` of the first set minus that of the second, over the cells on which both have one."""
         return [a - b for a, b in self._pairs(first, second, cells, steps, lambda m: m.average)]
 
-    def extra_times(self, first: Selection, second: Selection, cells: Sequence[Cell], steps: int) -> list[float]:
+    def extra_times(
+        self, first: Selection, second: Selection, cells: Sequence[Cell], steps: int
+    ) -> list[float]:
         """How much longer a step of the first set takes than one of the second, as a share, over the same cells."""
         return [a / b - 1 for a, b in self._pairs(first, second, cells, steps, _time_of_whole)]
 

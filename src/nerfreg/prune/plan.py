@@ -77,7 +77,9 @@ class Design:
     def comparisons(self, context: Context) -> tuple[Comparison, ...]:
         """One for each regularizer: leaving it out of the full set, or adding it to vanilla."""
         if context is Context.SET:
-            return tuple(Comparison(name, context, self.full, without(self.full, name)) for name in self.full)
+            return tuple(
+                Comparison(name, context, self.full, without(self.full, name)) for name in self.full
+            )
         return tuple(Comparison(name, context, (name,), ()) for name in self.full)
 
     def ordered(self, names: Sequence[str]) -> Selection:
@@ -117,11 +119,15 @@ def make_ladder(first: int | None, last: int | None) -> tuple[int, ...]:
     Raises NerfregError where `first` is more than `last`, and where that is no number of steps.
     """
     if last is None or last < 1:
-        raise NerfregError(f"train.steps={last}: prune compares trainings of equal length; set it to 1 or more")
+        raise NerfregError(
+            f"train.steps={last}: prune compares trainings of equal length; set it to 1 or more"
+        )
     if first is None:
         first = math.ceil(last / 4)
     if first > last:
-        raise NerfregError(f"--steps {first}: more than train.steps={last}, the length of a whole run")
+        raise NerfregError(
+            f"--steps {first}: more than train.steps={last}, the length of a whole run"
+        )
     steps = []
     while first < last:
         steps.append(first)

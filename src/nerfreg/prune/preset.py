@@ -37,13 +37,19 @@ def preset_path(name: str) -> Path:
     Raises NerfregError for a name that is not one, or is somebody else's.
     """
     if not re.fullmatch(r"\w[\w-]*", name):
-        raise NerfregError(f"--name {name}: use letters, digits, _ and - only, so that +reg={name} can be written")
+        raise NerfregError(
+            f"--name {name}: use letters, digits, _ and - only, so that +reg={name} can be written"
+        )
     path = Path("conf", "reg", f"{name}.yaml")
     if path.is_file():
         if not path.read_text(encoding="utf-8").startswith(MARK):
-            raise NerfregError(f"{path}: exists, and nerfreg prune did not write it; choose another --name")
+            raise NerfregError(
+                f"{path}: exists, and nerfreg prune did not write it; choose another --name"
+            )
     elif name in options("reg", installed()):
-        raise NerfregError(f"--name {name}: a plugin or preset of this name exists already; choose another")
+        raise NerfregError(
+            f"--name {name}: a plugin or preset of this name exists already; choose another"
+        )
     return path
 
 

@@ -38,7 +38,9 @@ def _contributions(summary: Summary) -> Table:
         table.add_column(header, justify="right", no_wrap=True)
     table.add_column("verdict", no_wrap=True)
     alone = {
-        f.comparison.regularizer: f for f in summary.outcome.findings.values() if f.comparison.context is Context.ALONE
+        f.comparison.regularizer: f
+        for f in summary.outcome.findings.values()
+        if f.comparison.context is Context.ALONE
     }
     for finding in summary.outcome.contributions:
         name = finding.comparison.regularizer
@@ -83,7 +85,11 @@ def _sets(summary: Summary) -> Table:
 
 def _level(summary: Summary) -> str:
     """What the full set has, after its longest trainings."""
-    trained = [(t.steps, m.psnr) for t, m in summary.ledger.trials.items() if t.regularizers == summary.design.full]
+    trained = [
+        (t.steps, m.psnr)
+        for t, m in summary.ledger.trials.items()
+        if t.regularizers == summary.design.full
+    ]
     steps = max((steps for steps, psnr in trained if psnr is not None), default=0)
     values = [psnr for own, psnr in trained if own == steps and psnr is not None]
     return f" ({fmean(values):.2f} dB after {steps} steps)" if values else ""

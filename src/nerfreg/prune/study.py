@@ -50,7 +50,11 @@ class Outcome:
     @property
     def contributions(self) -> list[Finding]:
         """Of each regularizer in the full set; these decide."""
-        return [finding for finding in self.findings.values() if finding.comparison.context is Context.SET]
+        return [
+            finding
+            for finding in self.findings.values()
+            if finding.comparison.context is Context.SET
+        ]
 
 
 class Study:
@@ -60,7 +64,12 @@ class Study:
     """
 
     def __init__(
-        self, design: Design, ledger: Ledger, budget: float, tolerance: float, say: Callable[[str], None]
+        self,
+        design: Design,
+        ledger: Ledger,
+        budget: float,
+        tolerance: float,
+        say: Callable[[str], None],
     ) -> None:
         self.design = design
         self.ledger = ledger
@@ -102,10 +111,17 @@ class Study:
         """
         in_set = self.design.comparisons(Context.SET)
         while undecided := self._undecided():
-            self._measure(self._sets(undecided), self.design.cells(self._stage.cells), self._stage.steps, until)
+            self._measure(
+                self._sets(undecided),
+                self.design.cells(self._stage.cells),
+                self._stage.steps,
+                until,
+            )
             self._looks += 1
             for comparison in undecided:
-                finding = self._find(comparison, self._stage, error_of_look(self._looks, len(in_set)))
+                finding = self._find(
+                    comparison, self._stage, error_of_look(self._looks, len(in_set))
+                )
                 self._findings[comparison] = better(self._findings.get(comparison), finding)
             open_ = [c for c in in_set if self._findings[c].verdict is Verdict.CANNOT_TELL]
             following = self._following(self._stage, self._sets(open_), until)
@@ -136,9 +152,19 @@ class Study:
             self._measure(sets, cells, stage.steps, until)
             self._confirming_looks += 1
             error = error_of_look(self._confirming_looks, 1)
-            gain = interval(self.ledger.gains(proposal, self.design.full, cells, stage.steps), error)
-            time = interval(self.ledger.extra_times(proposal, self.design.full, cells, stage.steps), error)
-            passed = True if gain.low >= -self.tolerance else False if gain.high < -self.tolerance else None
+            gain = interval(
+                self.ledger.gains(proposal, self.design.full, cells, stage.steps), error
+            )
+            time = interval(
+                self.ledger.extra_times(proposal, self.design.full, cells, stage.steps), error
+            )
+            passed = (
+                True
+                if gain.low >= -self.tolerance
+                else False
+                if gain.high < -self.tolerance
+                else None
+            )
             more = self._more_cells(stage, sets, until)
             if passed is not None or more is None:
                 return Confirmation(proposal, error, gain, time, passed)
@@ -155,7 +181,9 @@ class Study:
         sets = {s: None for c in comparisons for s in (c.having, c.lacking)}
         return tuple(sorted(sets, key=lambda s: s not in (self.design.full, ())))
 
-    def _measure(self, sets: Sequence[Selection], cells: Sequence[Cell], steps: int, until: float) -> None:
+    def _measure(
+        self, sets: Sequence[Selection], cells: Sequence[Cell], steps: int, until: float
+    ) -> None:
         """One cell over all sets, then the next, as long as there is time; another set begins each cell.
 
         So whatever else the machine does falls on all sets alike.
@@ -194,7 +222,11 @@ class Study:
         return None
 
     def _fits(self, sets: Sequence[Selection], stage: Stage, until: float) -> bool:
-        trials = [Trial(names, cell, stage.steps) for cell in self.design.cells(stage.cells) for names in sets]
+        trials = [
+            Trial(names, cell, stage.steps)
+            for cell in self.design.cells(stage.cells)
+            for names in sets
+        ]
         return self.ledger.spent + self.ledger.cost(trials) <= until
 
 

@@ -52,8 +52,14 @@ def set_points(design: Design, ledger: Ledger) -> list[SetPoint]:
     """
     points: list[SetPoint] = []
     for steps in reversed(design.ladder):
-        trained = dict.fromkeys(trial.regularizers for trial in ledger.trials if trial.steps == steps)
-        level = [point for names in trained if (point := _point(design, ledger, names, steps)) is not None]
+        trained = dict.fromkeys(
+            trial.regularizers for trial in ledger.trials if trial.steps == steps
+        )
+        level = [
+            point
+            for names in trained
+            if (point := _point(design, ledger, names, steps)) is not None
+        ]
         best = front([(-point.gain.mean, point.time.mean) for point in level])
         level = [replace(point, on_front=index in best) for index, point in enumerate(level)]
         points += sorted(level, key=lambda point: -point.gain.mean)
@@ -61,7 +67,11 @@ def set_points(design: Design, ledger: Ledger) -> list[SetPoint]:
 
 
 def _point(design: Design, ledger: Ledger, names: Selection, steps: int) -> SetPoint | None:
-    cells = [trial.cell for trial in ledger.trials if trial.regularizers == names and trial.steps == steps]
+    cells = [
+        trial.cell
+        for trial in ledger.trials
+        if trial.regularizers == names and trial.steps == steps
+    ]
     pair = (names, design.full, cells, steps)
     if not (gains := ledger.gains(*pair)):
         return None

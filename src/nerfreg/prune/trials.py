@@ -46,7 +46,9 @@ class Trials:
         self._stride = stride
         self._report = report
         self._device = prepare(config)
-        self._lpips = load_lpips(config.eval.lpips_weights) if stride == 1 and config.eval.lpips else None
+        self._lpips = (
+            load_lpips(config.eval.lpips_weights) if stride == 1 and config.eval.lpips else None
+        )
         self._read_image = cache(self.scene.read_image)
 
     @property
@@ -112,7 +114,10 @@ class Trials:
 
     def _regularizers(self, names: Selection, steps: int) -> dict[str, Regularizer]:
         # Copies, because a plugin may remember something of the training that it took part in.
-        return {name: in_share(deepcopy(self.config.reg[name]), steps, self.config.train.steps) for name in names}
+        return {
+            name: in_share(deepcopy(self.config.reg[name]), steps, self.config.train.steps)
+            for name in names
+        }
 
 
 def usual_time(clock: Sequence[float]) -> float:
@@ -148,7 +153,11 @@ def in_share(plugin: Regularizer, steps: int, whole: int | None) -> Regularizer:
     start, end = moved(plugin.start), moved(plugin.end)
     if isinstance(start, int) and isinstance(end, int):
         end = max(end, start + 1)
-    return plugin if (start, end) == (plugin.start, plugin.end) else replace(plugin, start=start, end=end)
+    return (
+        plugin
+        if (start, end) == (plugin.start, plugin.end)
+        else replace(plugin, start=start, end=end)
+    )
 
 
 def _finite(value: float | None) -> float | None:

@@ -64,18 +64,30 @@ def proposals(design: Design, findings: Mapping[Comparison, Finding]) -> tuple[S
     at once; then those that make no difference, one by one, the best alone first, because two that can replace each
     other both seem to be of no use; what hurts comes last.
     """
-    found = {f.comparison.regularizer: f for f in findings.values() if f.comparison.context is Context.SET}
+    found = {
+        f.comparison.regularizer: f
+        for f in findings.values()
+        if f.comparison.context is Context.SET
+    }
     alone = {
         f.comparison.regularizer: f.gain.mean
         for f in findings.values()
         if f.comparison.context is Context.ALONE and f.gain.count
     }
-    by_verdict = {verdict: [name for name, f in found.items() if f.verdict is verdict] for verdict in Verdict}
-    saving = [name for name, f in found.items() if f.time.high < 0 and f.verdict is not Verdict.HURTS]
+    by_verdict = {
+        verdict: [name for name, f in found.items() if f.verdict is verdict] for verdict in Verdict
+    }
+    saving = [
+        name for name, f in found.items() if f.time.high < 0 and f.verdict is not Verdict.HURTS
+    ]
     kept = [*by_verdict[Verdict.HELPS], *saving]
     chain = [design.ordered(kept)]
     spare = sorted(by_verdict[Verdict.NO_DIFFERENCE], key=lambda name: -alone.get(name, 0.0))
-    for returned in (by_verdict[Verdict.CANNOT_TELL], *([name] for name in spare), by_verdict[Verdict.HURTS]):
+    for returned in (
+        by_verdict[Verdict.CANNOT_TELL],
+        *([name] for name in spare),
+        by_verdict[Verdict.HURTS],
+    ):
         kept += returned
         chain.append(design.ordered(kept))
     return tuple(dict.fromkeys(chain))

@@ -25,7 +25,9 @@ class RayBatches:
     known_depth: what a plugin knows of each training pixel, or None.
     """
 
-    def __init__(self, scene: Scene, count: int, device: torch.device, generator: torch.Generator) -> None:
+    def __init__(
+        self, scene: Scene, count: int, device: torch.device, generator: torch.Generator
+    ) -> None:
         self.scene = scene
         self.count = count
         self.device = device
@@ -41,7 +43,9 @@ class RayBatches:
         Patches and unseen rays take the place of random pixels; only extra neighbours are rendered beside them.
         """
         side = max(needs.patch_size, 2 if needs.neighbors == "patch" else 0)
-        unseen_patches = self._patch_count(self.count, side, needs.unseen_patches) if needs.unseen_patches else 0
+        unseen_patches = (
+            self._patch_count(self.count, side, needs.unseen_patches) if needs.unseen_patches else 0
+        )
         unseen_count = max(round(self.count * needs.unseen_rays), unseen_patches * side**2)
         supervised = self.count - unseen_count
         if supervised < 1:
@@ -65,7 +69,9 @@ class RayBatches:
         if needs.neighbors == "extra":
             parts.append(self._neighbor_rays(image[:singles], pixel[:singles]))
             groups.append(torch.arange(singles))
-            neighbors.append(torch.stack([torch.arange(singles), supervised + torch.arange(singles)], dim=1))
+            neighbors.append(
+                torch.stack([torch.arange(singles), supervised + torch.arange(singles)], dim=1)
+            )
         unseen = None
         if unseen_count:
             unseen = sum(len(part[0]) for part in parts) + torch.arange(unseen_count)
@@ -73,7 +79,9 @@ class RayBatches:
             parts.append(self._unseen_rays(unseen_count - unseen_patches * side**2, 1))
             groups.append(singles + patches + torch.arange(unseen_count))
         origins, directions = (torch.cat(columns) for columns in zip(*parts, strict=True))
-        near, far = clip_to_box(origins, directions, self.scene.box, self.scene.near, self.scene.far)
+        near, far = clip_to_box(
+            origins, directions, self.scene.box, self.scene.near, self.scene.far
+        )
         targets, background = self._targets(image, pixel, len(origins))
         return self._to_device(
             Rays(
@@ -84,12 +92,18 @@ class RayBatches:
                 targets=targets,
                 target_weights=_patches_as_pixels(singles, patches, side) if patches else None,
                 background=background,
-                patches=singles + torch.arange(patches * side**2).view(patches, side, side) if patches else None,
+                patches=singles + torch.arange(patches * side**2).view(patches, side, side)
+                if patches
+                else None,
                 neighbors=torch.cat(neighbors) if neighbors else None,
                 unseen=unseen,
-                unseen_patches=None if unseen is None or not unseen_patches else _squares(unseen, unseen_patches, side),
+                unseen_patches=None
+                if unseen is None or not unseen_patches
+                else _squares(unseen, unseen_patches, side),
                 groups=torch.cat(groups) if neighbors else None,
-                known_depth=self.known_depth[image, pixel[:, 1], pixel[:, 0]] if self.known_depth is not None else None,
+                known_depth=self.known_depth[image, pixel[:, 1], pixel[:, 0]]
+                if self.known_depth is not None
+                else None,
             )
         )
 
@@ -98,7 +112,9 @@ class RayBatches:
         if side == 0:
             return 0
         if side**2 > supervised:
-            raise NerfregError(f"train.rays={self.count}: too few for a patch of {side} x {side} pixels")
+            raise NerfregError(
+                f"train.rays={self.count}: too few for a patch of {side} x {side} pixels"
+            )
         return max(1, int(supervised * fraction / side**2))
 
     def _useful_pixels(self) -> Int[Tensor, "useful 3"]:
@@ -109,23 +125,33 @@ class RayBatches:
         useful = []
         for image, view in enumerate(self.views):
             origins, directions = self.scene.cameras.rays(view.expand(len(pixel)), pixel)
-            near, far = clip_to_box(origins, directions, self.scene.box, self.scene.near, self.scene.far)
+            near, far = clip_to_box(
+                origins, directions, self.scene.box, self.scene.near, self.scene.far
+            )
             hit = pixel[far > near]
             useful.append(torch.cat([torch.full((len(hit), 1), image), hit], dim=1))
         pixels = torch.cat(useful)
         if len(pixels) == 0:
-            raise NerfregError(f"scene {self.scene.name}: no ray of a training view meets scene.box; check the poses")
+            raise NerfregError(
+                f"scene {self.scene.name}: no ray of a training view meets scene.box; check the poses"
+            )
         return pixels.to(torch.int32)
 
     def _random_pixels(self, count: int) -> tuple[Int[Tensor, " rays"], Int[Tensor, "rays 2"]]:
-        chosen = self.pixels[torch.randint(len(self.pixels), (count,), generator=self.generator)].long()
+        chosen = self.pixels[
+            torch.randint(len(self.pixels), (count,), generator=self.generator)
+        ].long()
         return chosen[:, 0], chosen[:, 1:]
 
-    def _random_patches(self, count: int, side: int) -> tuple[Int[Tensor, " rays"], Int[Tensor, "rays 2"]]:
+    def _random_patches(
+        self, count: int, side: int
+    ) -> tuple[Int[Tensor, " rays"], Int[Tensor, "rays 2"]]:
         """Patches around random useful pixels, moved to lie inside the image."""
         limit = torch.tensor([self.scene.cameras.width, self.scene.cameras.height]) - side
         if limit.min() < 0:
-            raise NerfregError(f"patch_size {side} is larger than the images of scene {self.scene.name}")
+            raise NerfregError(
+                f"patch_size {side} is larger than the images of scene {self.scene.name}"
+            )
         image, pixel = self._random_pixels(count)
         corners = torch.minimum((pixel - side // 2).clamp_min(0), limit)
         return image.repeat_interleave(side**2), patch_pixels(corners, side).view(-1, 2)
@@ -140,12 +166,18 @@ class RayBatches:
         background = torch.rand(rays, 3, generator=self.generator)
         return torch.lerp(background[: len(colors)], colors[:, :3], colors[:, 3:]), background
 
-    def _neighbor_rays(self, image: Tensor, pixel: Tensor) -> tuple[Float[Tensor, "rays 3"], Float[Tensor, "rays 3"]]:
+    def _neighbor_rays(
+        self, image: Tensor, pixel: Tensor
+    ) -> tuple[Float[Tensor, "rays 3"], Float[Tensor, "rays 3"]]:
         """A ray through one of the four neighbours of each pixel."""
         cameras = self.scene.cameras
-        return cameras.rays(self.views[image], adjacent_pixels(pixel, cameras.width, cameras.height, self.generator))
+        return cameras.rays(
+            self.views[image], adjacent_pixels(pixel, cameras.width, cameras.height, self.generator)
+        )
 
-    def _unseen_rays(self, count: int, side: int) -> tuple[Float[Tensor, "rays 3"], Float[Tensor, "rays 3"]]:
+    def _unseen_rays(
+        self, count: int, side: int
+    ) -> tuple[Float[Tensor, "rays 3"], Float[Tensor, "rays 3"]]:
         """Rays through random patches of cameras at random places between two training cameras, one camera a patch."""
         cameras, cpu = self.scene.cameras, self.generator
         views = len(self.views)
@@ -164,16 +196,24 @@ class RayBatches:
             center=cameras.center[view],
             distortion=cameras.distortion[view],
         )
-        return between.rays(torch.arange(count).repeat_interleave(side**2), patch_pixels(corners, side).view(-1, 2))
+        return between.rays(
+            torch.arange(count).repeat_interleave(side**2), patch_pixels(corners, side).view(-1, 2)
+        )
 
     def _to_device(self, rays: Rays) -> Rays:
         if self.device.type == "cpu":
             return rays
-        moved = {name: value.to(self.device) for name, value in vars(rays).items() if isinstance(value, Tensor)}
+        moved = {
+            name: value.to(self.device)
+            for name, value in vars(rays).items()
+            if isinstance(value, Tensor)
+        }
         return dataclasses.replace(rays, **moved)
 
 
-def _squares(rays: Int[Tensor, " rays"], patches: int, side: int) -> Int[Tensor, "patches side side"]:
+def _squares(
+    rays: Int[Tensor, " rays"], patches: int, side: int
+) -> Int[Tensor, "patches side side"]:
     return rays[: patches * side**2].view(patches, side, side)
 
 

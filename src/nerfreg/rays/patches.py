@@ -10,7 +10,9 @@ STEPS = torch.tensor([[1, 0], [-1, 0], [0, 1], [0, -1]])
 """From a pixel (x, y) to its four neighbours."""
 
 
-def patch_pixels(corners: Int[Tensor, "patches 2"], side: int) -> Int[Tensor, "patches side side 2"]:
+def patch_pixels(
+    corners: Int[Tensor, "patches 2"], side: int
+) -> Int[Tensor, "patches side side 2"]:
     """Pixels (x, y) of square patches with the given upper left corners: rows run down, columns to the right."""
     y, x = torch.meshgrid(torch.arange(side), torch.arange(side), indexing="ij")
     return corners[:, None, None] + torch.stack([x, y], dim=-1)

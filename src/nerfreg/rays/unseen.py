@@ -28,7 +28,10 @@ def poses_between(
         a, b = first[..., 3] - center, second[..., 3] - center
         radius = torch.lerp(a.norm(dim=-1), b.norm(dim=-1), share)[:, None]
         position = center + radius * functional.normalize(
-            torch.lerp(functional.normalize(a, dim=-1), functional.normalize(b, dim=-1), share[:, None]), dim=-1
+            torch.lerp(
+                functional.normalize(a, dim=-1), functional.normalize(b, dim=-1), share[:, None]
+            ),
+            dim=-1,
         )
         back = position - center
     return pose(back, up, position)

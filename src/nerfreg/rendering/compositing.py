@@ -28,7 +28,9 @@ class Composite:
     rgb: Float[Tensor, "rays 3"] | None = None
 
 
-def integrate(sigma: Float[Tensor, "rays samples"], t_edges: Float[Tensor, "rays edges"]) -> Composite:
+def integrate(
+    sigma: Float[Tensor, "rays samples"], t_edges: Float[Tensor, "rays edges"]
+) -> Composite:
     """Weights, opacity and depth of rays (R, N+1 edges) whose density sigma (R, N) is constant in each interval.
 
     Depth is the mean interval midpoint under the weights; an empty ray (opacity < 1e-4) has the depth of its far end.

@@ -28,7 +28,9 @@ class SamplerConfig:
     scout_samples: int = 64
 
     def __post_init__(self) -> None:
-        require_range("sampler", self, coarse=(1, math.inf), fine=(0, math.inf), skip_resolution=(1, 512))
+        require_range(
+            "sampler", self, coarse=(1, math.inf), fine=(0, math.inf), skip_resolution=(1, 512)
+        )
         require_range("sampler", self, view_samples=(1, math.inf), view_block=(1, 16))
         require_range("sampler", self, scout_samples=(1, math.inf))
         require_choice("sampler", self, "spacing", ("linear", "disparity"))

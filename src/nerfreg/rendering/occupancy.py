@@ -30,7 +30,9 @@ class OccupancyGrid:
     def contains(self, positions: Float[Tensor, "points 3"]) -> Bool[Tensor, " points"]:
         """Whether each position lies in an occupied cell; positions outside the box take the nearest cell."""
         index = ((positions - self.low) / self.cell).long().clamp_(0, self.resolution - 1)
-        return self.occupied.view(-1)[(index[:, 0] * self.resolution + index[:, 1]) * self.resolution + index[:, 2]]
+        return self.occupied.view(-1)[
+            (index[:, 0] * self.resolution + index[:, 1]) * self.resolution + index[:, 2]
+        ]
 
     @torch.no_grad()
     def _thickness(self, field: RadianceField) -> Float[Tensor, "x y z"]:

@@ -55,7 +55,9 @@ class Renderer:
         generator = step.generator if self.jitter else None
         near, far = self.hooks.ray_bounds(rays, step)
         near, far = _shared(near, rays.groups, "amin"), _shared(far, rays.groups, "amax")
-        coarse = _spread(stratified(near, far, self.sampler.coarse, self.sampler.spacing, generator), rays.groups)
+        coarse = _spread(
+            stratified(near, far, self.sampler.coarse, self.sampler.spacing, generator), rays.groups
+        )
         ray_near, ray_far = _spread(near, rays.groups), _spread(far, rays.groups)
         first = self._evaluate(self._encode(rays, coarse, step))
         with torch.no_grad():
@@ -80,7 +82,9 @@ class Renderer:
         """
         samples = self._encode(rendering.rays, rendering.t, step)
         evaluation = self._evaluate(samples)
-        return self._composite(rendering.rays, rendering.t, rendering.t_edges, evaluation, samples, rendering.colored)
+        return self._composite(
+            rendering.rays, rendering.t, rendering.t_edges, evaluation, samples, rendering.colored
+        )
 
     def probe(self, rendering: Rendering, step: Step) -> Rendering:
         """The same as `rerender`, without gradients by the field's weights."""
@@ -191,7 +195,9 @@ class _Pick(torch.autograd.Function):
     @staticmethod
     def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor, None]:
         [rows] = ctx.saved_tensors
-        return grads[0].new_zeros(ctx.count, *grads[0].shape[1:]).index_copy_(0, rows, grads[0]), None
+        return grads[0].new_zeros(ctx.count, *grads[0].shape[1:]).index_copy_(
+            0, rows, grads[0]
+        ), None
 
 
 def _harmonics(directions: Tensor, ray: Tensor, sample: Tensor) -> Tensor:

@@ -67,7 +67,9 @@ def equal_shares(
 
 
 def _inverse(
-    t_edges: Float[Tensor, "rays edges"], weights: Float[Tensor, "rays samples"], u: Float[Tensor, "rays shares"]
+    t_edges: Float[Tensor, "rays edges"],
+    weights: Float[Tensor, "rays samples"],
+    u: Float[Tensor, "rays shares"],
 ) -> tuple[Float[Tensor, "rays shares"], Int[Tensor, "rays shares"]]:
     """Where shares u of the weights of a ray lie before t, and in which interval that is."""
     cdf = torch.cumsum(weights + PDF_FLOOR, dim=1)
@@ -86,7 +88,9 @@ def merge(
     return t, order
 
 
-def _offsets(shape: tuple[int, int], like: Tensor, generator: torch.Generator | None) -> Tensor | float:
+def _offsets(
+    shape: tuple[int, int], like: Tensor, generator: torch.Generator | None
+) -> Tensor | float:
     """Where in its stratum each sample lies, [0, 1)."""
     if generator is None:
         return 0.5

@@ -77,18 +77,35 @@ class ViewRenderer:
         """One image, of every `stride`-th row and column."""
         # Pixels that are further apart see less of the same.
         side, device = max(self.sampler.view_block // stride, 1), self.field.center.device
-        rows, columns = torch.arange(0, cameras.height, stride), torch.arange(0, cameras.width, stride)
+        rows, columns = (
+            torch.arange(0, cameras.height, stride),
+            torch.arange(0, cameras.width, stride),
+        )
         pixels = _blocks(rows, columns, side)
         blocks = pixels.shape[:2]
-        origins, directions = cameras.rays(torch.full((pixels[..., 0].numel(),), view), pixels.reshape(-1, 2))
-        near, far = clip_to_box(origins, directions, self.scene.box, self.scene.near, self.scene.far)
-        image = torch.cat([self.background.expand(len(near), 3), far[:, None], torch.zeros(len(near), 1)], dim=1)
+        origins, directions = cameras.rays(
+            torch.full((pixels[..., 0].numel(),), view), pixels.reshape(-1, 2)
+        )
+        near, far = clip_to_box(
+            origins, directions, self.scene.box, self.scene.near, self.scene.far
+        )
+        image = torch.cat(
+            [self.background.expand(len(near), 3), far[:, None], torch.zeros(len(near), 1)], dim=1
+        )
         image = image.view(blocks.numel(), side**2, 5)
-        rays = _Blocks(*(part.view(len(image), side**2, *part.shape[1:]) for part in (origins, directions, near, far)))
+        rays = _Blocks(
+            *(
+                part.view(len(image), side**2, *part.shape[1:])
+                for part in (origins, directions, near, far)
+            )
+        )
         hit = (far > near).view(len(image), -1).any(dim=1).nonzero().squeeze(1)
         rays = rays.to(device)
         scouts = self._scout(rays, hit).shared(blocks)
-        count, size = self.sampler.view_samples, max(SAMPLES // (side**2 * self.sampler.view_samples), 1)
+        count, size = (
+            self.sampler.view_samples,
+            max(SAMPLES // (side**2 * self.sampler.view_samples), 1),
+        )
 
         def render(first: int, last: int) -> None:
             for chunk in hit[first:last].split(size):
@@ -97,7 +114,9 @@ class ViewRenderer:
         in_shares(len(hit), size, render)
         image = image.view(*blocks, side, side, 5).transpose(1, 2).flatten(2, 3).flatten(0, 1)
         image = image[: len(rows), : len(columns)]
-        return View(image[..., :3].contiguous(), image[..., 3].contiguous(), image[..., 4].contiguous())
+        return View(
+            image[..., :3].contiguous(), image[..., 3].contiguous(), image[..., 4].contiguous()
+        )
 
     def _scout(self, rays: _Blocks, hit: Int[Tensor, " hit"]) -> _Scouts:
         """Follow the middle of every block that meets the box."""
@@ -122,7 +141,10 @@ class ViewRenderer:
         return _Scouts(edges, weights, light)
 
     def _render(
-        self, rays: _Blocks, edges: Float[Tensor, "blocks edges"], light: Float[Tensor, "blocks samples"]
+        self,
+        rays: _Blocks,
+        edges: Float[Tensor, "blocks edges"],
+        light: Float[Tensor, "blocks samples"],
     ) -> Float[Tensor, "blocks pixels 5"]:
         """Colour, depth and opacity of every pixel, from intervals that the pixels of a block share."""
         blocks, pixels = rays.near.shape
@@ -137,22 +159,31 @@ class ViewRenderer:
         ray, sample = (result.weights > MIN_WEIGHT).nonzero(as_tuple=True)
         self._colors.append(len(ray))
         color = self.field.color(
-            raw.index_select(0, places[ray, sample]), spherical_harmonics(directions).index_select(0, ray)
+            raw.index_select(0, places[ray, sample]),
+            spherical_harmonics(directions).index_select(0, ray),
         )
-        rgb = color.new_zeros(len(t), 3).index_add(0, ray, result.weights[ray, sample][:, None] * color)
+        rgb = color.new_zeros(len(t), 3).index_add(
+            0, ray, result.weights[ray, sample][:, None] * color
+        )
         rgb = rgb + transmittance(result.tau)[:, None] * self.background.to(rgb)
-        return torch.cat([rgb, result.depth[:, None], result.opacity[:, None]], dim=1).view(blocks, pixels, 5)
+        return torch.cat([rgb, result.depth[:, None], result.opacity[:, None]], dim=1).view(
+            blocks, pixels, 5
+        )
 
     def _density(
         self, positions: Float[Tensor, "rays samples 3"], asked: Bool[Tensor, "rays samples"]
-    ) -> tuple[Float[Tensor, "rays samples"], Float[Tensor, "evaluated out"], Int[Tensor, "rays samples"]]:
+    ) -> tuple[
+        Float[Tensor, "rays samples"], Float[Tensor, "evaluated out"], Int[Tensor, "rays samples"]
+    ]:
         """Density where asked for and not known to be 0; output of the density network; each sample's row of it."""
         flat = positions.view(-1, 3)
         seen = (asked.view(-1) & self.occupancy.contains(flat)).nonzero().squeeze(1)
         self._points.append(len(seen))
         raw = self.field.raw_density(flat.index_select(0, seen))
         density = raw.new_zeros(len(flat)).index_copy(0, seen, self.field.density(raw))
-        places = seen.new_zeros(len(flat)).index_copy(0, seen, torch.arange(len(seen), device=seen.device))
+        places = seen.new_zeros(len(flat)).index_copy(
+            0, seen, torch.arange(len(seen), device=seen.device)
+        )
         return density.view(asked.shape), raw, places.view(asked.shape)
 
 
@@ -166,10 +197,14 @@ class _Blocks:
     far: Float[Tensor, "blocks pixels"]
 
     def picked(self, chunk: Int[Tensor, " picked"]) -> _Blocks:
-        return _Blocks(self.origins[chunk], self.directions[chunk], self.near[chunk], self.far[chunk])
+        return _Blocks(
+            self.origins[chunk], self.directions[chunk], self.near[chunk], self.far[chunk]
+        )
 
     def to(self, device: torch.device) -> _Blocks:
-        return _Blocks(*(part.to(device) for part in (self.origins, self.directions, self.near, self.far)))
+        return _Blocks(
+            *(part.to(device) for part in (self.origins, self.directions, self.near, self.far))
+        )
 
 
 @dataclass(frozen=True)
@@ -187,7 +222,9 @@ class _Scouts:
         """
 
         def around(values: Float[Tensor, "blocks samples"]) -> Float[Tensor, "blocks samples"]:
-            return functional.max_pool3d(values.view(1, 1, *blocks, -1), 3, stride=1, padding=1).view(values.shape)
+            return functional.max_pool3d(
+                values.view(1, 1, *blocks, -1), 3, stride=1, padding=1
+            ).view(values.shape)
 
         return _Scouts(self.edges, around(self.weights), around(self.light))
 
@@ -201,8 +238,13 @@ class _Scouts:
         return edges, self.light[chunk].gather(1, bins)
 
 
-def _blocks(rows: Int[Tensor, " height"], columns: Int[Tensor, " width"], side: int) -> Int[Tensor, "y x pixels 2"]:
+def _blocks(
+    rows: Int[Tensor, " height"], columns: Int[Tensor, " width"], side: int
+) -> Int[Tensor, "y x pixels 2"]:
     """Pixels (x, y) in square blocks; the last row and column are repeated where blocks reach beyond them."""
-    rows, columns = (torch.cat([line, line[-1:].expand(-len(line) % side)]).view(-1, side) for line in (rows, columns))
+    rows, columns = (
+        torch.cat([line, line[-1:].expand(-len(line) % side)]).view(-1, side)
+        for line in (rows, columns)
+    )
     y, x = torch.broadcast_tensors(rows[:, None, :, None], columns[None, :, None, :])
     return torch.stack([x, y], dim=-1).flatten(2, 3)

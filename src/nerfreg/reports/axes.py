@@ -87,7 +87,9 @@ def duration(seconds: float) -> str:
 def shortened(text: str, length: int) -> str:
     """At most so many characters; what is left out is in the middle, for long names differ at their ends."""
     head = (length - 1) // 2
-    return text if len(text) <= length else f"{text[:head]}…{text[len(text) - (length - 1 - head) :]}"
+    return (
+        text if len(text) <= length else f"{text[:head]}…{text[len(text) - (length - 1 - head) :]}"
+    )
 
 
 def separate(places: Sequence[float], gap: float) -> list[float]:
@@ -118,7 +120,9 @@ def label_right(panel: Axes, labels: Sequence[Label], tall: float = PANEL[1]) ->
     """
     from matplotlib.transforms import offset_copy
 
-    beside = offset_copy(panel.transData, panel.get_figure(root=True), x=LABEL_OFFSET, units="points")
+    beside = offset_copy(
+        panel.transData, panel.get_figure(root=True), x=LABEL_OFFSET, units="points"
+    )
     for column in _columns(panel, labels):
         for _ in range(2):  # again, since a longer axis makes lines taller
             low, high = panel.get_ylim()
@@ -142,7 +146,9 @@ def label_right(panel: Axes, labels: Sequence[Label], tall: float = PANEL[1]) ->
                 color=label.color,
                 fontsize=7.5,
                 va="center",
-                arrowprops=leader if abs(height - label.y) > line * (0.5 + abs(label.raised)) else None,
+                arrowprops=leader
+                if abs(height - label.y) > line * (0.5 + abs(label.raised))
+                else None,
             ).set_in_layout(False)
 
 

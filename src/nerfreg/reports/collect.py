@@ -34,12 +34,16 @@ def collect(places: Sequence[Path]) -> list[RunRecord]:
     folders: dict[Path, Path] = {}
     for place in places:
         if not place.is_dir():
-            raise NerfregError(f"{place}: {'is a file; name a folder of runs' if place.exists() else 'does not exist'}")
+            raise NerfregError(
+                f"{place}: {'is a file; name a folder of runs' if place.exists() else 'does not exist'}"
+            )
         for folder in find_runs(place):
             folders.setdefault(folder.resolve(), folder)
     if not folders:
         searched = ", ".join(map(str, places))
-        raise NerfregError(f"{searched}: no run found (a run has {CONFIG} and {METRICS} or {RESULTS})")
+        raise NerfregError(
+            f"{searched}: no run found (a run has {CONFIG} and {METRICS} or {RESULTS})"
+        )
     records = _views_counted([read_run_folder(folder) for folder in folders.values()])
     return distinguished(scenes_distinguished(records))
 
@@ -50,8 +54,12 @@ def find_runs(place: Path) -> Iterator[Path]:
     A run that has not been scored yet is one too; what `nerfreg scene` left is none.
     """
     for root, names, files in os.walk(place):
-        names[:] = sorted((n for n in names if n not in CONTENTS and not n.startswith(".")), key=_natural)
-        if (Path(root) / CONFIG).is_file() and ({METRICS, RESULTS, FAILED} & {*files} or not {*OTHER_VERBS} & {*files}):
+        names[:] = sorted(
+            (n for n in names if n not in CONTENTS and not n.startswith(".")), key=_natural
+        )
+        if (Path(root) / CONFIG).is_file() and (
+            {METRICS, RESULTS, FAILED} & {*files} or not {*OTHER_VERBS} & {*files}
+        ):
             yield Path(root)
 
 
@@ -109,7 +117,11 @@ def _time(evaluation: Evaluation) -> tuple[float, int]:
 
 
 def _evaluation(line: Mapping[str, Any], whole: bool) -> Evaluation | None:
-    step, seconds, views = _number(line.get("step")), _number(line.get("train_seconds")), line.get("test_views")
+    step, seconds, views = (
+        _number(line.get("step")),
+        _number(line.get("train_seconds")),
+        line.get("test_views"),
+    )
     if step is None or seconds is None:
         return None
     return Evaluation(
@@ -140,7 +152,11 @@ def _scene_name(settings: Mapping[str, object]) -> str:
     """What the scene will be called in `results.json`."""
     path, form = settings.get("scene.path"), settings.get("scene.format", "scene")
     if not path:
-        return f"{form}-{settings.get('scene.layout') or 'orbit'}" if form == "procedural" else str(form)
+        return (
+            f"{form}-{settings.get('scene.layout') or 'orbit'}"
+            if form == "procedural"
+            else str(form)
+        )
     found = Path(str(path))
     return (found.parent if found.suffix == ".json" else found).name or str(form)
 
@@ -150,18 +166,26 @@ def _views(results: Mapping[str, Any], settings: Mapping[str, object]) -> int:
     counted = _number(results.get("views"))
     if counted is not None:
         return int(counted)
-    given, listed, held_out = (settings.get(f"scene.{key}") for key in ("views", "train", "held_out"))
+    given, listed, held_out = (
+        settings.get(f"scene.{key}") for key in ("views", "train", "held_out")
+    )
     views = len(listed) if isinstance(listed, list) and given is None else _number(given)
     return max(int(views or 0) - (len(held_out) if isinstance(held_out, list) else 0), 0)
 
 
 def _views_counted(records: Sequence[RunRecord]) -> list[RunRecord]:
     """Where a run cannot say yet how many views it trains on, another run of its scene may know."""
-    known = {(run.scene, run.held_out, run.settings.get("scene.split")): run.views for run in records if run.views}
+    known = {
+        (run.scene, run.held_out, run.settings.get("scene.split")): run.views
+        for run in records
+        if run.views
+    }
     return [
         run
         if run.views
-        else replace(run, views=known.get((run.scene, run.held_out, run.settings.get("scene.split")), 0))
+        else replace(
+            run, views=known.get((run.scene, run.held_out, run.settings.get("scene.split")), 0)
+        )
         for run in records
     ]
 
@@ -213,7 +237,11 @@ def _flat(node: Any, prefix: str = "") -> dict[str, object]:
     """Nested keys joined by dots."""
     flat: dict[str, object] = {}
     for key, value in (node if isinstance(node, Mapping) else {}).items():
-        flat.update(_flat(value, f"{prefix}{key}.") if isinstance(value, Mapping) else {f"{prefix}{key}": value})
+        flat.update(
+            _flat(value, f"{prefix}{key}.")
+            if isinstance(value, Mapping)
+            else {f"{prefix}{key}": value}
+        )
     return flat
 
 
@@ -225,4 +253,8 @@ def _number(value: object) -> float | None:
 
 def _natural(name: str) -> list[tuple[int, int | str]]:
     """Sorts `2_b` before `10_a`."""
-    return [(0, int(part)) if part.isdecimal() else (1, part) for part in re.split(r"(\d+)", name) if part]
+    return [
+        (0, int(part)) if part.isdecimal() else (1, part)
+        for part in re.split(r"(\d+)", name)
+        if part
+    ]

@@ -21,7 +21,13 @@ from nerfreg.reports.grouping import Setting, by_setting, slug
 from nerfreg.reports.methods import VANILLA
 from nerfreg.reports.paper import PaperRow, published, rows_over_scenes, vanilla_psnr, with_average
 from nerfreg.reports.records import RunRecord
-from nerfreg.reports.statistics import Statistic, complete, mean_of_means, ordered_methods, summarize
+from nerfreg.reports.statistics import (
+    Statistic,
+    complete,
+    mean_of_means,
+    ordered_methods,
+    summarize,
+)
 from nerfreg.reports.tables import NOT_REACHED, Cell, Column, Row, Table, marked
 from nerfreg.reports.timing import Cost, costs, seconds_to_psnr
 
@@ -58,9 +64,14 @@ def comparisons(
     for setting, runs in by_setting(records).items():
         rows, remarks = published(paper, setting, runs)
         target = vanilla_psnr(rows) if psnr is None else psnr
-        scenes.append(_Scene(setting, runs, rows, target, [*remarks, *(notes or {}).get(setting, ())]))
+        scenes.append(
+            _Scene(setting, runs, rows, target, [*remarks, *(notes or {}).get(setting, ())])
+        )
     over = [_over_scenes(title, group, paper) for title, group in _families(scenes)]
-    return [*map(_of_scene, scenes), *(table for table in over if any(not row.paper for row in table.rows))]
+    return [
+        *map(_of_scene, scenes),
+        *(table for table in over if any(not row.paper for row in table.rows)),
+    ]
 
 
 def cost_tables(records: Sequence[RunRecord]) -> list[Table]:
@@ -79,16 +90,25 @@ def cost_tables(records: Sequence[RunRecord]) -> list[Table]:
                 f"{cost.method}, {_threads(cost.threads)}"
                 if several and "threads=" not in cost.method
                 else cost.method,
-                (Cell(1e3 * cost.seconds_per_step, count=cost.runs), Cell(cost.relative, count=cost.runs)),
+                (
+                    Cell(1e3 * cost.seconds_per_step, count=cost.runs),
+                    Cell(cost.relative, count=cost.runs),
+                ),
                 cost.runs,
             )
             for cost in sorted(found, key=lambda cost: cost.seconds_per_step)
         ]
-        notes = ["Medians over runs. Vanilla has the same settings and threads, and a budget of the same kind."]
+        notes = [
+            "Medians over runs. Vanilla has the same settings and threads, and a budget of the same kind."
+        ]
         if not several:
             notes.append(f"Trained with {_threads(found[0].threads)}.")
         title = f"Cost of a step: {setting.title}"
-        tables.append(Table(title, f"cost-{setting.name}", columns, marked(columns, rows), "runs", tuple(notes)))
+        tables.append(
+            Table(
+                title, f"cost-{setting.name}", columns, marked(columns, rows), "runs", tuple(notes)
+            )
+        )
     return tables
 
 
@@ -97,7 +117,9 @@ def _of_scene(scene: _Scene) -> Table:
     rows = []
     for method, runs in ordered_methods(scene.runs, VANILLA).items():
         done = complete(runs)
-        cells = [cell_of(statistic_of(column, done)) for column in columns if column.key != REACHED.key]
+        cells = [
+            cell_of(statistic_of(column, done)) for column in columns if column.key != REACHED.key
+        ]
         if scene.target is not None:
             cells.append(_reached(done, scene.target))
         rows.append(Row(method, tuple(cells), len(done)))
@@ -123,7 +145,11 @@ def _over_scenes(title: str, scenes: Sequence[_Scene], paper: Sequence[PaperRow]
     rows: list[Row] = []
     incomplete: dict[str, list[str]] = {}
     for method in methods:
-        lacking = [scene.setting.title for scene, runs in zip(scenes, done, strict=True) if method not in runs]
+        lacking = [
+            scene.setting.title
+            for scene, runs in zip(scenes, done, strict=True)
+            if method not in runs
+        ]
         if lacking:
             incomplete.setdefault("; ".join(lacking), []).append(method)
             continue
@@ -134,16 +160,34 @@ def _over_scenes(title: str, scenes: Sequence[_Scene], paper: Sequence[PaperRow]
             if column.key != REACHED.key
         ]
         if timed:
-            cells.append(_reached_everywhere([_reached(r, s.target or 0.0) for r, s in zip(runs, scenes, strict=True)]))
+            cells.append(
+                _reached_everywhere(
+                    [_reached(r, s.target or 0.0) for r, s in zip(runs, scenes, strict=True)]
+                )
+            )
         rows.append(Row(method, tuple(cells), sum(map(len, runs))))
-    known = [] if scenes[0].setting.held_out else rows_over_scenes(paper, [scene.paper for scene in scenes])
+    known = (
+        []
+        if scenes[0].setting.held_out
+        else rows_over_scenes(paper, [scene.paper for scene in scenes])
+    )
     rows += [_paper_row(row, columns) for row in known]
-    notes = [f"Left out, without a complete run on {where}: {', '.join(names)}." for where, names in incomplete.items()]
+    notes = [
+        f"Left out, without a complete run on {where}: {', '.join(names)}."
+        for where, names in incomplete.items()
+    ]
     shared = {", ".join(scene.runs[0].shared) or "no override" for scene in scenes}
     if len(shared) > 1:
-        notes += [f"{s.setting.title}: all runs have {', '.join(s.runs[0].shared) or 'no override'}." for s in scenes]
+        notes += [
+            f"{s.setting.title}: all runs have {', '.join(s.runs[0].shared) or 'no override'}."
+            for s in scenes
+        ]
     if timed:
-        notes.append("PSNR to reach: " + ", ".join(f"{s.setting.scene} {s.target:g} dB" for s in scenes) + ".")
+        notes.append(
+            "PSNR to reach: "
+            + ", ".join(f"{s.setting.scene} {s.target:g} dB" for s in scenes)
+            + "."
+        )
     notes.append(
         f"Means over {', '.join(scene.setting.scene for scene in scenes)} of the means over seeds; ± is the standard "
         "deviation of a mean over one run of each scene."
@@ -163,7 +207,9 @@ def _families(scenes: Sequence[_Scene]) -> list[tuple[str, list[_Scene]]]:
     for (form, views, held_out), group in groups.items():
         if len(group) > 1:
             ending = ", held-out training views" if held_out else ""
-            families.append((f"{len(group)} {form} scenes, {views} view{'s' * (views != 1)}{ending}", group))
+            families.append(
+                (f"{len(group)} {form} scenes, {views} view{'s' * (views != 1)}{ending}", group)
+            )
     tested = [scene for scene in scenes if not scene.setting.held_out]
     kinds = {key for key in groups if not key[2]}
     if len(kinds) > 1 and len({scene.setting.scene for scene in tested}) == len(tested):
@@ -178,15 +224,24 @@ def _reached(runs: Sequence[RunRecord], psnr: float) -> Cell:
     crossings = [seconds_to_psnr(run.evaluations, psnr) for run in runs]
     times = [crossing for crossing in crossings if crossing is not None]
     if len(times) < len(runs):
-        return Cell(None, text=NOT_REACHED if not times else f"reached by {len(times)} of {len(runs)}")
+        return Cell(
+            None, text=NOT_REACHED if not times else f"reached by {len(times)} of {len(runs)}"
+        )
     cell = cell_of(summarize(crossing.seconds for crossing in times))
-    return Cell(cell.value, cell.spread, cell.count, at_most=any(crossing.at_most for crossing in times))
+    return Cell(
+        cell.value, cell.spread, cell.count, at_most=any(crossing.at_most for crossing in times)
+    )
 
 
 def _reached_everywhere(cells: Sequence[Cell]) -> Cell:
     reached = [cell for cell in cells if cell.value is not None]
     if len(reached) < len(cells):
-        return Cell(None, text=NOT_REACHED if not reached else f"reached on {len(reached)} of {len(cells)} scenes")
+        return Cell(
+            None,
+            text=NOT_REACHED
+            if not reached
+            else f"reached on {len(reached)} of {len(cells)} scenes",
+        )
     statistics = [Statistic(cell.value or 0.0, cell.spread, cell.count) for cell in reached]
     mean = cell_of(mean_of_means(statistics))
     return Cell(mean.value, mean.spread, mean.count, at_most=any(cell.at_most for cell in reached))
@@ -194,8 +249,17 @@ def _reached_everywhere(cells: Sequence[Cell]) -> Cell:
 
 def _paper_row(row: PaperRow, columns: Sequence[Column]) -> Row:
     whole = with_average(row)
-    values = {PSNR.key: whole.psnr, SSIM.key: whole.ssim, LPIPS.key: whole.lpips, AVERAGE.key: whole.average}
-    return Row(f"{row.method} (paper)", tuple(Cell(values.get(column.key)) for column in columns), paper=True)
+    values = {
+        PSNR.key: whole.psnr,
+        SSIM.key: whole.ssim,
+        LPIPS.key: whole.lpips,
+        AVERAGE.key: whole.average,
+    }
+    return Row(
+        f"{row.method} (paper)",
+        tuple(Cell(values.get(column.key)) for column in columns),
+        paper=True,
+    )
 
 
 def _notes_on_runs(runs: Sequence[RunRecord]) -> list[str]:
@@ -222,8 +286,12 @@ def _fewer(columns: Sequence[Column], rows: Sequence[Row], counted: str) -> list
     ]
 
 
-def _notes_on_columns(timed: bool, runs: Sequence[RunRecord], paper: Sequence[PaperRow]) -> list[str]:
-    on_subsets = timed and any(not evaluation.whole for run in complete(runs) for evaluation in run.evaluations)
+def _notes_on_columns(
+    timed: bool, runs: Sequence[RunRecord], paper: Sequence[PaperRow]
+) -> list[str]:
+    on_subsets = timed and any(
+        not evaluation.whole for run in complete(runs) for evaluation in run.evaluations
+    )
     computed = any(with_average(row) != row for row in paper)
     return [*([SUBSET_NOTE] if on_subsets else []), *([AVERAGE_NOTE] if computed else [])]
 

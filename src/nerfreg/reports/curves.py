@@ -22,14 +22,19 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 Metric = Literal["average", "psnr"]
-LABELS: dict[Metric, str] = {"average": "average error  (lower is better)", "psnr": "PSNR [dB]  (higher is better)"}
+LABELS: dict[Metric, str] = {
+    "average": "average error  (lower is better)",
+    "psnr": "PSNR [dB]  (higher is better)",
+}
 
 LEGEND_LENGTH = 80
 NAMES = 6
 """As many of the methods without colour, the best, have their names beside them."""
 PUBLISHED_LINE = 9.0
 """Height of the name of a published number in points, with what the axes take."""
-READING = "lines: some of the test views, mean and range over seeds; markers: all test views, at the end"
+READING = (
+    "lines: some of the test views, mean and range over seeds; markers: all test views, at the end"
+)
 
 
 @dataclass(frozen=True)
@@ -86,7 +91,9 @@ def band(group: Sequence[Series]) -> Band | None:
     seconds = np.unique([time for each in group for time in each.seconds if first <= time <= last])
     if len(seconds) < 2:
         return None
-    values = np.stack([np.interp(np.log(seconds), np.log(each.seconds), each.values) for each in group])
+    values = np.stack(
+        [np.interp(np.log(seconds), np.log(each.seconds), each.values) for each in group]
+    )
     return Band(seconds, values.mean(0), values.min(0), values.max(0))
 
 
@@ -95,7 +102,9 @@ def final_point(runs: Sequence[RunRecord], metric: Metric) -> Point | None:
     known = [
         (run.final.train_seconds, value)
         for run in runs
-        if run.final is not None and (value := value_of(run.final, metric)) is not None and run.final.train_seconds > 0
+        if run.final is not None
+        and (value := value_of(run.final, metric)) is not None
+        and run.final.train_seconds > 0
     ]
     if not known:
         return None
@@ -133,7 +142,11 @@ def draw_curves(
         figure.suptitle(title, fontsize=9.5, color=INK)
         if handles:
             legend = figure.legend(
-                handles=handles, loc="outside lower center", ncols=columns, frameon=False, title=READING
+                handles=handles,
+                loc="outside lower center",
+                ncols=columns,
+                frameon=False,
+                title=READING,
             )
             legend.get_title().set(color=GUIDE, fontsize=7.5)
         return save(figure, stem)
@@ -167,7 +180,9 @@ def _draw_published(panel: Axes, published: Sequence[PaperRow], metric: Metric) 
     The axis grows to show them all.
     """
     known = sorted(
-        (value, row.method) for row in map(with_average, published) if (value := getattr(row, metric)) is not None
+        (value, row.method)
+        for row in map(with_average, published)
+        if (value := getattr(row, metric)) is not None
     )
     if not panel.get_xticks().size or not known:
         return
@@ -189,7 +204,9 @@ def _draw_published(panel: Axes, published: Sequence[PaperRow], metric: Metric) 
             names = []
 
 
-def _draw_method(panel: Axes, runs: Sequence[RunRecord], style: Style, metric: Metric) -> list[tuple[float, float]]:
+def _draw_method(
+    panel: Axes, runs: Sequence[RunRecord], style: Style, metric: Metric
+) -> list[tuple[float, float]]:
     """Draw what a method has; returns points that it goes through, the last of them where its name may stand."""
     order = 2 if style.faint else 3
     complete = [series(run, metric) for run in runs if run.final is not None]
@@ -199,14 +216,30 @@ def _draw_method(panel: Axes, runs: Sequence[RunRecord], style: Style, metric: M
     if common is None:
         loose += complete
     else:
-        panel.plot(common.seconds, common.mean, color=style.color, linestyle=style.dash, zorder=order)
+        panel.plot(
+            common.seconds, common.mean, color=style.color, linestyle=style.dash, zorder=order
+        )
         if len(complete) > 1 and not style.faint:
             panel.fill_between(
-                common.seconds, common.low, common.high, color=style.color, alpha=0.16, linewidth=0, zorder=order - 1
+                common.seconds,
+                common.low,
+                common.high,
+                color=style.color,
+                alpha=0.16,
+                linewidth=0,
+                zorder=order - 1,
             )
         drawn += zip(common.seconds.tolist(), common.mean.tolist(), strict=True)
     for each in loose:
-        panel.plot(each.seconds, each.values, color=style.color, linestyle=":", linewidth=1, marker=".", markersize=3)
+        panel.plot(
+            each.seconds,
+            each.values,
+            color=style.color,
+            linestyle=":",
+            linewidth=1,
+            marker=".",
+            markersize=3,
+        )
         drawn += zip(each.seconds, each.values, strict=True)
     point = final_point(runs, metric)
     if point is not None:

@@ -38,7 +38,9 @@ def plots(records: Sequence[RunRecord], paper: Sequence[PaperRow] = ()) -> list[
     few = len(by_method(records)) <= COLORED
     found: list[Plot] = []
     for setting, runs in by_setting(records).items():
-        styles = method_styles(records if few else runs)  # few enough to have the same colours in all scenes
+        styles = method_styles(
+            records if few else runs
+        )  # few enough to have the same colours in all scenes
         scored = [run for run in runs if run.evaluations or run.final is not None]
         if scored:
             rows, _ = published(paper, setting, runs)

@@ -21,7 +21,9 @@ class Setting:
     def title(self) -> str:
         """As a heading: "fern, 3 views"."""
         views = "1 view" if self.views == 1 else f"{self.views} views"
-        return f"{self.scene}, {views}" + (", scored on held-out training views" if self.held_out else "")
+        return f"{self.scene}, {views}" + (
+            ", scored on held-out training views" if self.held_out else ""
+        )
 
     @property
     def name(self) -> str:

@@ -15,8 +15,24 @@ SCENE_KEYS = (
 )  # fmt: skip
 """Keys of a scene that decide which photographs are compared: runs that differ in them share no table."""
 BUDGET = ("train.steps", "train.seconds")
-SILENT = ("name", "seed", "device", "scene", "scene.path", "scene.views", "train.threads", "train.quiet", *BUDGET)
-SILENT_GROUPS = ("eval", "hydra", "train.check", "train.check_every", *(f"scene.{key}" for key in SCENE_KEYS))
+SILENT = (
+    "name",
+    "seed",
+    "device",
+    "scene",
+    "scene.path",
+    "scene.views",
+    "train.threads",
+    "train.quiet",
+    *BUDGET,
+)
+SILENT_GROUPS = (
+    "eval",
+    "hydra",
+    "train.check",
+    "train.check_every",
+    *(f"scene.{key}" for key in SCENE_KEYS),
+)
 """Overrides that say nothing of the method."""
 FEW = 3
 """As many keys stand in a name; where more of them differ, variants are numbered."""
@@ -31,10 +47,16 @@ def scenes_distinguished(records: Sequence[RunRecord]) -> list[RunRecord]:
     """Add to a scene's name what differs among runs that share it, and should not share a table: `chair (factor=8)`."""
     named = list(records)
     for group in _grouped(records, lambda record: (record.scene, record.views, record.held_out)):
-        keys = [key for key in SCENE_KEYS if len({_text(records[i].settings.get(f"scene.{key}")) for i in group}) > 1]
+        keys = [
+            key
+            for key in SCENE_KEYS
+            if len({_text(records[i].settings.get(f"scene.{key}")) for i in group}) > 1
+        ]
         for index in group if keys else ():
             record = records[index]
-            differences = ", ".join(f"{key}={_text(record.settings.get(f'scene.{key}'))}" for key in keys)
+            differences = ", ".join(
+                f"{key}={_text(record.settings.get(f'scene.{key}'))}" for key in keys
+            )
             named[index] = replace(record, scene=f"{record.scene} ({differences})")
     return named
 
@@ -58,21 +80,30 @@ def _parts(overrides: Sequence[str], settings: Mapping[str, object]) -> list[str
         if key.startswith("~"):  # deleted, whatever its value was
             equals = value = ""
         if key == "reg" and equals:
-            chosen = "+".join(sorted(part.strip(" '\"") for part in value.strip("[]").split(","))) or VANILLA
+            chosen = (
+                "+".join(sorted(part.strip(" '\"") for part in value.strip("[]").split(",")))
+                or VANILLA
+            )
         elif not _silent(key.lstrip("~").partition("@")[0].replace("/", ".")):
             known = key in settings and not isinstance(settings[key], list)
-            others[key.removeprefix("reg.")] = (_text(settings[key]) if known else value) if equals else ""
+            others[key.removeprefix("reg.")] = (
+                (_text(settings[key]) if known else value) if equals else ""
+            )
     return [chosen, *(f"{key}={value}" if value else key for key, value in sorted(others.items()))]
 
 
 def _silent(key: str) -> bool:
-    return key in SILENT or any(key == group or key.startswith(f"{group}.") for group in SILENT_GROUPS)
+    return key in SILENT or any(
+        key == group or key.startswith(f"{group}.") for group in SILENT_GROUPS
+    )
 
 
 def _without_studies(records: Sequence[RunRecord]) -> list[RunRecord]:
     named = list(records)
     for group in _grouped(records, lambda record: record.settings.get("name")):
-        methods = [", ".join(_parts(records[index].command, records[index].settings)) for index in group]
+        methods = [
+            ", ".join(_parts(records[index].command, records[index].settings)) for index in group
+        ]
         for index, method in zip(group, methods, strict=True) if len(set(methods)) > 1 else ():
             named[index] = replace(records[index], method=method)
     return named
@@ -87,7 +118,11 @@ def _without_shared(records: Sequence[RunRecord]) -> list[RunRecord]:
         parts = {run.folder: _parts(run.command, run.settings) for run in group}
         # A name that a user gave stays as it is.
         unnamed = [run.folder for run in group if run.method == ", ".join(parts[run.folder])]
-        common = set.intersection(*(set(parts[folder][1:]) for folder in unnamed)) if unnamed else set[str]()
+        common = (
+            set.intersection(*(set(parts[folder][1:]) for folder in unnamed))
+            if unnamed
+            else set[str]()
+        )
         for run in group:
             first, *others = parts[run.folder]
             kept = ", ".join([first, *(part for part in others if part not in common)])
@@ -105,7 +140,10 @@ def _budgets_apart(records: Sequence[RunRecord]) -> list[RunRecord]:
 def budget(record: RunRecord) -> str:
     """`600 s`, `1500 steps`, or whichever is spent first: `1500 steps or 600 s`."""
     steps, seconds = (record.settings.get(key) for key in BUDGET)
-    given = (None if steps is None else f"{_text(steps)} steps", None if seconds is None else f"{_text(seconds)} s")
+    given = (
+        None if steps is None else f"{_text(steps)} steps",
+        None if seconds is None else f"{_text(seconds)} s",
+    )
     return " or ".join(filter(None, given)) or "unknown budget"
 
 
@@ -114,15 +152,21 @@ def _variants_apart(records: Sequence[RunRecord]) -> list[RunRecord]:
     identities = [identity(record) for record in records]
     for group in _grouped(records, lambda record: record.method):
         keys: dict[str, None] = {}
-        for same_scene in _grouped(records, lambda run: (run.scene, run.views, run.held_out), group):
+        for same_scene in _grouped(
+            records, lambda run: (run.scene, run.views, run.held_out), group
+        ):
             keys.update(dict.fromkeys(_differing([identities[index] for index in same_scene])))
         variants: dict[tuple[str, ...], int] = {}
         for index in group if keys else ():
             record, known = records[index], identities[index]
-            variant = tuple(f"{key.removeprefix('reg.')}={known[key]}" for key in keys if key in known)
+            variant = tuple(
+                f"{key.removeprefix('reg.')}={known[key]}" for key in keys if key in known
+            )
             number = variants.setdefault(variant, len(variants) + 1)
             addition = ", ".join(variant) if len(keys) <= FEW else f"variant {number}"
-            named[index] = replace(record, method=f"{record.method} ({addition})" if addition else record.method)
+            named[index] = replace(
+                record, method=f"{record.method} ({addition})" if addition else record.method
+            )
     return named
 
 
@@ -132,8 +176,16 @@ def identity(record: RunRecord) -> dict[str, str]:
     A value that is not known is left out: one that an older folder lacks, one still to be resolved, and the threads
     of a run that is not complete, which are wishes.
     """
-    known = {key: _text(value) for key, value in record.settings.items() if not _silent(key) or key == "device"}
-    known |= {f"version of {package}": str(version) for package, version in record.versions.items() if version}
+    known = {
+        key: _text(value)
+        for key, value in record.settings.items()
+        if not _silent(key) or key == "device"
+    }
+    known |= {
+        f"version of {package}": str(version)
+        for package, version in record.versions.items()
+        if version
+    }
     known["reg"] = "+".join(_selected(record.settings)) or VANILLA
     if record.threads is not None and record.final is not None:
         known["threads"] = str(record.threads)
@@ -154,7 +206,9 @@ def _selected(settings: Mapping[str, object]) -> list[str]:
 
 
 def _grouped(
-    records: Sequence[RunRecord], key: Callable[[RunRecord], object], indices: Iterable[int] | None = None
+    records: Sequence[RunRecord],
+    key: Callable[[RunRecord], object],
+    indices: Iterable[int] | None = None,
 ) -> list[list[int]]:
     """Indices of records that agree in `key`."""
     groups: dict[object, list[int]] = {}

@@ -78,7 +78,11 @@ class Run:
 
 
 def write(
-    records: Sequence[RunRecord], tables: Sequence[Table], figures: Sequence[Plot], pictures: Pictures, folder: Path
+    records: Sequence[RunRecord],
+    tables: Sequence[Table],
+    figures: Sequence[Plot],
+    pictures: Pictures,
+    folder: Path,
 ) -> Path:
     """Write FOLDER/report.html, and what it shows of test views as sheets in FOLDER/pictures; returns the page.
 
@@ -97,7 +101,11 @@ def write(
         lstrip_blocks=True,
     )
     environment.filters["slug"] = slug
-    parts = {path.name: Markup(path.read_text(encoding="utf-8")) for path in TEMPLATE.iterdir() if path.suffix != ".j2"}
+    parts = {
+        path.name: Markup(path.read_text(encoding="utf-8"))
+        for path in TEMPLATE.iterdir()
+        if path.suffix != ".j2"
+    }
     text = environment.get_template("report.html.j2").render(
         parts=parts,
         version=__version__,
@@ -127,7 +135,10 @@ def _figure(plot: Plot, folder: Path) -> Figure:
 def _views(comparisons: Sequence[Comparison]) -> list[View]:
     images = [image for comparison in comparisons for image in _images(comparison)]
     encoded = iter(data_uris(images, PICTURE_BUDGET))
-    return [_view(comparison, [next(encoded) for _ in _images(comparison)]) for comparison in comparisons]
+    return [
+        _view(comparison, [next(encoded) for _ in _images(comparison)])
+        for comparison in comparisons
+    ]
 
 
 def _images(comparison: Comparison) -> list[Any]:
@@ -135,7 +146,12 @@ def _images(comparison: Comparison) -> list[Any]:
     crop = comparison.crop
     images = [comparison.photograph, crop.of(comparison.photograph)]
     for shown in comparison.methods:
-        images += [shown.color, crop.of(shown.color), _error_colors(shown.error / comparison.scale), shown.depth]
+        images += [
+            shown.color,
+            crop.of(shown.color),
+            _error_colors(shown.error / comparison.scale),
+            shown.depth,
+        ]
     return images
 
 
@@ -164,7 +180,11 @@ def _frame(crop: Crop, height: int, width: int) -> str:
 def _error_colors(values: Any) -> Any:
     import matplotlib
 
-    return (matplotlib.colormaps[ERROR_MAP](np.clip(values, 0, 1))[..., :3] * 255).round().astype(np.uint8)
+    return (
+        (matplotlib.colormaps[ERROR_MAP](np.clip(values, 0, 1))[..., :3] * 255)
+        .round()
+        .astype(np.uint8)
+    )
 
 
 def _gradient(name: str) -> str:
@@ -185,4 +205,12 @@ def _run(record: RunRecord) -> Run:
         state = f"{duration(last.train_seconds)} so far" if last else "not scored yet"
     (setting,) = by_setting([record])
     command = shlex.join(["nerfreg", "train", *record.command])
-    return Run(record.method, setting.title, record.seed, state, record.failure or "", str(record.folder), command)
+    return Run(
+        record.method,
+        setting.title,
+        record.seed,
+        state,
+        record.failure or "",
+        str(record.folder),
+        command,
+    )

@@ -54,10 +54,14 @@ def read_paper(path: Path) -> list[PaperRow]:
             reader = csv.DictReader(file)
             missing = [column for column in COLUMNS if column not in (reader.fieldnames or ())]
             if missing:
-                raise NerfregError(f"{path}: no column {', '.join(missing)}; needed: {', '.join(COLUMNS)}")
+                raise NerfregError(
+                    f"{path}: no column {', '.join(missing)}; needed: {', '.join(COLUMNS)}"
+                )
             rows = [_row(path, reader.line_num, line) for line in reader]
     except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise NerfregError(f"--paper {path}: cannot be read ({getattr(error, 'strerror', None) or error})") from error
+        raise NerfregError(
+            f"--paper {path}: cannot be read ({getattr(error, 'strerror', None) or error})"
+        ) from error
     merged: dict[tuple[str, int, str, str], PaperRow] = {}
     for row in rows:
         key = (row.dataset, row.views, row.scene, row.method)
@@ -80,7 +84,9 @@ def rows_of_scene(
             if key in settings and settings[key] not in allowed
         ]
         if different:
-            notes[f"The paper's rows are left out, because the runs have {', '.join(different)}."] = None
+            notes[
+                f"The paper's rows are left out, because the runs have {', '.join(different)}."
+            ] = None
         else:
             kept.append(row)
     return kept, list(notes)
@@ -90,10 +96,16 @@ def published(
     paper: Sequence[PaperRow], setting: Setting, runs: Sequence[RunRecord]
 ) -> tuple[list[PaperRow], list[str]]:
     """What was published on the scene of some runs, see `rows_of_scene`; nothing on held-out training views."""
-    return ([], []) if setting.held_out else rows_of_scene(paper, setting.scene, setting.views, runs[0].settings)
+    return (
+        ([], [])
+        if setting.held_out
+        else rows_of_scene(paper, setting.scene, setting.views, runs[0].settings)
+    )
 
 
-def rows_over_scenes(paper: Sequence[PaperRow], scenes: Sequence[Sequence[PaperRow]]) -> list[PaperRow]:
+def rows_over_scenes(
+    paper: Sequence[PaperRow], scenes: Sequence[Sequence[PaperRow]]
+) -> list[PaperRow]:
     """Means over some scenes of methods published on all of them, each scene given by its own rows.
 
     Where these are all scenes of a data set, its published means, which know more methods, come instead.
@@ -103,12 +115,18 @@ def rows_over_scenes(paper: Sequence[PaperRow], scenes: Sequence[Sequence[PaperR
         return []
     if len(datasets) == 1:
         of_dataset = [row for row in paper if (row.dataset, row.views) in datasets]
-        if {row.scene for row in of_dataset} - {MEAN} == {row.scene for rows in scenes for row in rows}:
+        if {row.scene for row in of_dataset} - {MEAN} == {
+            row.scene for rows in scenes for row in rows
+        }:
             published = [row for row in of_dataset if row.scene == MEAN]
             if published:
                 return published
     by_scene = [{row.method: with_average(row) for row in rows} for rows in scenes]
-    return [_mean([rows[method] for rows in by_scene]) for method in by_scene[0] if all(method in r for r in by_scene)]
+    return [
+        _mean([rows[method] for rows in by_scene])
+        for method in by_scene[0]
+        if all(method in r for r in by_scene)
+    ]
 
 
 def vanilla_psnr(rows: Iterable[PaperRow]) -> float | None:
@@ -120,7 +138,9 @@ def with_average(row: PaperRow) -> PaperRow:
     """The row with `average`, the geometric mean of its errors, if it was not published."""
     if row.average is not None or row.psnr is None or row.ssim is None or row.lpips is None:
         return row
-    return replace(row, average=math.cbrt(10 ** (-row.psnr / 10) * math.sqrt(1 - row.ssim) * row.lpips))
+    return replace(
+        row, average=math.cbrt(10 ** (-row.psnr / 10) * math.sqrt(1 - row.ssim) * row.lpips)
+    )
 
 
 def _mean(rows: Sequence[PaperRow]) -> PaperRow:
@@ -150,6 +170,8 @@ def _row(path: Path, number: int, line: Mapping[str, str | None]) -> PaperRow:
     views = (line["views"] or "").strip()
     if not views.isdecimal():
         raise NerfregError(f"{path}, line {number}: views={views} is no whole number")
-    dataset, scene, method = ((line[column] or "").strip() for column in ("dataset", "scene", "method"))
+    dataset, scene, method = (
+        (line[column] or "").strip() for column in ("dataset", "scene", "method")
+    )
     psnr, ssim, lpips, average = map(value, VALUES)
     return PaperRow(dataset, int(views), scene, method, psnr, ssim, lpips, average)

@@ -89,15 +89,23 @@ def compare(records: Sequence[RunRecord], views: Sequence[str]) -> Pictures:
     notes: list[str] = []
     known: set[str] = set()
     for setting, runs in by_setting(records).items():
-        shown = {method: run for method, own in by_method(runs).items() if (run := _with_pictures(own)) is not None}
+        shown = {
+            method: run
+            for method, own in by_method(runs).items()
+            if (run := _with_pictures(own)) is not None
+        }
         missing = [method for method in by_method(runs) if method not in shown]
         if missing:
             notes.append(f"{setting.title}: no pictures of {', '.join(missing)}")
         folders = {method: run.folder for method, run in shown.items()}
         available = {method: set(views_of(folder)) for method, folder in folders.items()}
         known |= set().union(*available.values())
-        for view in views or telling_views({method: view_scores(folder) for method, folder in folders.items()}):
-            have = {method: folder for method, folder in folders.items() if view in available[method]}
+        for view in views or telling_views(
+            {method: view_scores(folder) for method, folder in folders.items()}
+        ):
+            have = {
+                method: folder for method, folder in folders.items() if view in available[method]
+            }
             if have:
                 comparisons.append(_comparison(setting, view, have, notes))
     unknown = [view for view in views if view not in known]
@@ -109,7 +117,9 @@ def compare(records: Sequence[RunRecord], views: Sequence[str]) -> Pictures:
 
 def views_of(folder: Path) -> list[str]:
     """The views that a run has pictures of, by name."""
-    return sorted(path.stem for path in (folder / RENDERS).glob("*.png") if not path.name.startswith("."))
+    return sorted(
+        path.stem for path in (folder / RENDERS).glob("*.png") if not path.name.startswith(".")
+    )
 
 
 def view_scores(folder: Path) -> dict[str, float]:
@@ -118,7 +128,11 @@ def view_scores(folder: Path) -> dict[str, float]:
         scores = json.loads((folder / RESULTS).read_text(encoding="utf-8"))["test_views"]
     except (OSError, ValueError, KeyError, TypeError):
         return {}
-    return {view: scores[view]["psnr"] for view in views_of(folder) if scores.get(view, {}).get("psnr") is not None}
+    return {
+        view: scores[view]["psnr"]
+        for view in views_of(folder)
+        if scores.get(view, {}).get("psnr") is not None
+    }
 
 
 def telling_views(scores: Mapping[str, Mapping[str, float]]) -> list[str]:
@@ -142,7 +156,9 @@ def read_strip(path: Path) -> Strip:
     try:
         image = iio.imread(path)
     except (OSError, ValueError, SyntaxError) as error:  # the last is Pillow's for a broken PNG
-        raise NerfregError(f"{path}: cannot be read ({error}); make it anew with nerfreg render RUN") from error
+        raise NerfregError(
+            f"{path}: cannot be read ({error}); make it anew with nerfreg render RUN"
+        ) from error
     if image.ndim != 3 or image.shape[2] != 3 or image.shape[1] % 4:
         raise NerfregError(
             f"{path}: {image.shape} is no strip of colour, depth, photograph and error in three channels"
@@ -158,7 +174,9 @@ def error_map(
     return np.abs(color.astype(np.float64) - photograph.astype(np.float64)).mean(-1) / 255
 
 
-def psnr(color: UInt8[np.ndarray, "height width 3"], photograph: UInt8[np.ndarray, "height width 3"]) -> float:
+def psnr(
+    color: UInt8[np.ndarray, "height width 3"], photograph: UInt8[np.ndarray, "height width 3"]
+) -> float:
     """Peak signal-to-noise ratio in dB; of equal images that of half a step of 1/255."""
     error = float(((color.astype(np.float64) - photograph.astype(np.float64)) ** 2).mean()) / 255**2
     return float(-10 * np.log10(max(error, (0.5 / 255) ** 2)))
@@ -168,7 +186,12 @@ def largest_difference(errors: Float[np.ndarray, "methods height width"], side: 
     """The square over which the errors of the methods differ most; of one method, where its error is largest."""
     spread = errors.max(0) - errors.min(0) if len(errors) > 1 else errors[0]
     integral = np.pad(spread.cumsum(0).cumsum(1), ((1, 0), (1, 0)))
-    sums = integral[side:, side:] - integral[:-side, side:] - integral[side:, :-side] + integral[:-side, :-side]
+    sums = (
+        integral[side:, side:]
+        - integral[:-side, side:]
+        - integral[side:, :-side]
+        + integral[:-side, :-side]
+    )
     top, left = np.unravel_index(int(sums.argmax()), sums.shape)
     return Crop(int(top), int(left), side)
 
@@ -180,10 +203,14 @@ def shared_scale(errors: Float[np.ndarray, "methods height width"]) -> float:
 
 
 def _with_pictures(runs: Sequence[RunRecord]) -> RunRecord | None:
-    return min((run for run in runs if views_of(run.folder)), key=lambda run: run.seed, default=None)
+    return min(
+        (run for run in runs if views_of(run.folder)), key=lambda run: run.seed, default=None
+    )
 
 
-def _comparison(setting: Setting, view: str, folders: Mapping[str, Path], notes: list[str]) -> Comparison:
+def _comparison(
+    setting: Setting, view: str, folders: Mapping[str, Path], notes: list[str]
+) -> Comparison:
     """Methods whose photograph is not the first method's, in size, are left out with a note."""
     photograph: UInt8[np.ndarray, "height width 3"] | None = None
     methods: list[Shown] = []
@@ -193,10 +220,16 @@ def _comparison(setting: Setting, view: str, folders: Mapping[str, Path], notes:
         if photograph is None:
             photograph = strip.photograph
         elif photograph.shape != strip.photograph.shape:
-            notes.append(f"{path}: left out, {strip.photograph.shape[:2]} pixels instead of {photograph.shape[:2]}")
+            notes.append(
+                f"{path}: left out, {strip.photograph.shape[:2]} pixels instead of {photograph.shape[:2]}"
+            )
             continue
         error = error_map(strip.color, strip.photograph)
-        methods.append(Shown(method, folder, psnr(strip.color, strip.photograph), strip.color, strip.depth, error))
+        methods.append(
+            Shown(
+                method, folder, psnr(strip.color, strip.photograph), strip.color, strip.depth, error
+            )
+        )
     assert photograph is not None
     errors = np.stack([shown.error for shown in methods])
     crop = largest_difference(errors, max(1, round(CROP * min(photograph.shape[:2]))))

@@ -27,7 +27,10 @@ WIDTH = 1.75
 
 def draw_sheets(comparisons: Sequence[Comparison], folder: Path) -> list[Path]:
     """One PNG for each comparison, named by scene and view. Raises NerfregError where it cannot be written."""
-    return [draw_sheet(each, folder / f"{each.setting.name}-{slug(each.view)}.png") for each in comparisons]
+    return [
+        draw_sheet(each, folder / f"{each.setting.name}-{slug(each.view)}.png")
+        for each in comparisons
+    ]
 
 
 def draw_sheet(comparison: Comparison, path: Path) -> Path:
@@ -53,14 +56,23 @@ def draw_sheet(comparison: Comparison, path: Path) -> Path:
                 if row == 0:
                     panel.set_title(COLUMNS[column], fontsize=8.5, pad=3)
                 if column == 0:
-                    name = textwrap.shorten(shown.method.replace(", ", " "), round(17 * grid.tall), placeholder=" …")
+                    name = textwrap.shorten(
+                        shown.method.replace(", ", " "), round(17 * grid.tall), placeholder=" …"
+                    )
                     panel.set_ylabel(f"{name}\n{shown.psnr:.2f} dB", fontsize=8, labelpad=3)
                 if column < 2:
                     _frame(panel, comparison.crop)
         scale = (("0", f"{comparison.scale:g}"), ("far", "near"))
-        for column, name, ends, label in zip((2, 3), (ERROR_MAP, DEPTH_MAP), scale, BARS, strict=True):
+        for column, name, ends, label in zip(
+            (2, 3), (ERROR_MAP, DEPTH_MAP), scale, BARS, strict=True
+        ):
             _bar(figure.add_axes(grid.bar(column)), name, ends, label)
-        figure.text(0.02, 1 - 0.11 / grid.height, f"{comparison.setting.title}: {comparison.view}", va="center")
+        figure.text(
+            0.02,
+            1 - 0.11 / grid.height,
+            f"{comparison.setting.title}: {comparison.view}",
+            va="center",
+        )
         with atomic(path) as part:
             figure.savefig(part, dpi=min(max(width / WIDTH, 150), 300))
     return path
@@ -109,7 +121,9 @@ def _frame(panel: Axes, crop: Crop) -> None:
 
     corner = (crop.left - 0.5, crop.top - 0.5)
     for color, width in (("white", 1.8), (PALETTE[1], 1.0)):
-        panel.add_patch(Rectangle(corner, crop.side, crop.side, fill=False, edgecolor=color, linewidth=width))
+        panel.add_patch(
+            Rectangle(corner, crop.side, crop.side, fill=False, edgecolor=color, linewidth=width)
+        )
 
 
 def _bar(panel: Axes, name: str, ends: tuple[str, str], label: str) -> None:

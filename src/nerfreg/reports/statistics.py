@@ -25,7 +25,9 @@ def summarize(values: Iterable[float | None]) -> Statistic | None:
     known = [value for value in values if value is not None]
     if not known:
         return None
-    return Statistic(statistics.fmean(known), statistics.stdev(known) if len(known) > 1 else None, len(known))
+    return Statistic(
+        statistics.fmean(known), statistics.stdev(known) if len(known) > 1 else None, len(known)
+    )
 
 
 def mean_of_means(scenes: Sequence[Statistic | None]) -> Statistic | None:
@@ -38,7 +40,9 @@ def mean_of_means(scenes: Sequence[Statistic | None]) -> Statistic | None:
         return None
     deviations = [scene.std for scene in means if scene.std is not None]
     std = math.hypot(*deviations) / len(means) if len(deviations) == len(means) else None
-    return Statistic(statistics.fmean(scene.mean for scene in means), std, sum(scene.count for scene in means))
+    return Statistic(
+        statistics.fmean(scene.mean for scene in means), std, sum(scene.count for scene in means)
+    )
 
 
 def complete(records: Sequence[RunRecord]) -> list[RunRecord]:
@@ -49,10 +53,14 @@ def complete(records: Sequence[RunRecord]) -> list[RunRecord]:
 def ordered_methods(records: Sequence[RunRecord], first: str) -> dict[str, list[RunRecord]]:
     """Runs by method; `first`, and what is called so with additions, stands first, the rest as they were found."""
     methods = by_method(records)
-    return dict(sorted(methods.items(), key=lambda item: (item[0] != first, not item[0].startswith(first))))
+    return dict(
+        sorted(methods.items(), key=lambda item: (item[0] != first, not item[0].startswith(first)))
+    )
 
 
-def without_repetitions(records: Sequence[RunRecord]) -> tuple[list[RunRecord], dict[Setting, list[str]]]:
+def without_repetitions(
+    records: Sequence[RunRecord],
+) -> tuple[list[RunRecord], dict[Setting, list[str]]]:
     """One run for each method, scene, number of views and seed, and a note for each that is left out.
 
     Of several the last that is complete stays; where none is, the one that has come furthest.
@@ -65,12 +73,16 @@ def without_repetitions(records: Sequence[RunRecord]) -> tuple[list[RunRecord], 
     notes: dict[Setting, list[str]] = {}
     for setting, runs in by_setting(records).items():
         for left_out in (run for run in runs if run.folder not in stay and run.failure is None):
-            better = kept[left_out.method, left_out.scene, left_out.views, left_out.held_out, left_out.seed]
+            better = kept[
+                left_out.method, left_out.scene, left_out.views, left_out.held_out, left_out.seed
+            ]
             notes.setdefault(setting, []).append(
                 f"{left_out.method}, seed {left_out.seed}, was run more than once: {better.folder} counts, "
                 f"{left_out.folder} does not."
             )
-    return [record for record in records if record.folder in stay or record.failure is not None], notes
+    return [
+        record for record in records if record.folder in stay or record.failure is not None
+    ], notes
 
 
 def _rank(record: RunRecord) -> tuple[bool, float, float, str]:

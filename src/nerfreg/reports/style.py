@@ -54,7 +54,9 @@ def method_styles(records: Sequence[RunRecord]) -> dict[str, Style]:
     for method in methods:
         if method in chosen:
             dash = DASHES[index // len(PALETTE) % len(DASHES)]
-            styles[method] = Style(PALETTE[index % len(PALETTE)], dash, MARKERS[index % len(MARKERS)])
+            styles[method] = Style(
+                PALETTE[index % len(PALETTE)], dash, MARKERS[index % len(MARKERS)]
+            )
             index += 1
         else:
             styles[method] = Style(FAINT, "solid", "o", faint=True)
@@ -118,5 +120,7 @@ def save(figure: Figure, stem: Path) -> list[Path]:
         vector = path.suffix == ".svg"
         with atomic(path) as part:
             metadata = {"Date": None} if vector else None
-            figure.savefig(part, dpi=DPI, metadata=metadata, facecolor="none" if vector else "white")
+            figure.savefig(
+                part, dpi=DPI, metadata=metadata, facecolor="none" if vector else "white"
+            )
     return paths

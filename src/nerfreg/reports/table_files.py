@@ -28,7 +28,11 @@ def write_tables(records: Sequence[RunRecord], tables: Sequence[Table], folder: 
 
     Raises NerfregError where they cannot be written.
     """
-    legend = [LEGEND] if any(cell.best for table in tables for row in table.rows for cell in row.cells) else []
+    legend = (
+        [LEGEND]
+        if any(cell.best for table in tables for row in table.rows for cell in row.cells)
+        else []
+    )
     paths = [_write(folder / "tables.md", "\n\n".join([*legend, *map(markdown, tables)]) + "\n")]
     paths += [_write(folder / "tables" / f"{table.name}.tex", latex(table)) for table in tables]
     paths.append(_write_csv(folder / "methods.csv", _method_lines(tables)))
@@ -93,14 +97,20 @@ def latex_text(text: str) -> str:
 
 
 def _latex_row(row: Row, columns: Sequence[Column]) -> str:
-    cells = [latex_text(row.label), *map(_latex_cell, row.cells, columns), "" if row.paper else str(row.count)]
+    cells = [
+        latex_text(row.label),
+        *map(_latex_cell, row.cells, columns),
+        "" if row.paper else str(row.count),
+    ]
     return " & ".join(cells) + r" \\"
 
 
 def _latex_cell(cell: Cell, column: Column) -> str:
     mean, plus_minus, spread = cell.shown(column).partition(" ± ")
     mean, spread = latex_text(mean), latex_text(plus_minus + spread)
-    return (rf"\textbf{{{mean}}}" if cell.best else rf"\underline{{{mean}}}" if cell.second else mean) + spread
+    return (
+        rf"\textbf{{{mean}}}" if cell.best else rf"\underline{{{mean}}}" if cell.second else mean
+    ) + spread
 
 
 def _markdown_cell(cell: Cell, column: Column) -> str:
@@ -122,14 +132,29 @@ def _method_lines(tables: Sequence[Table]) -> list[dict[str, object]]:
     lines = []
     for table in tables:
         for row in table.rows if table.setting else ():
-            line = {**_about(table.setting), "method": row.label.removesuffix(" (paper)") if row.paper else row.label}
-            line |= {"source": "paper" if row.paper else "runs", "n": "" if row.paper else row.count}
-            cells = {column.key: cell for column, cell in zip(table.columns, row.cells, strict=True)}
+            line = {
+                **_about(table.setting),
+                "method": row.label.removesuffix(" (paper)") if row.paper else row.label,
+            }
+            line |= {
+                "source": "paper" if row.paper else "runs",
+                "n": "" if row.paper else row.count,
+            }
+            cells = {
+                column.key: cell for column, cell in zip(table.columns, row.cells, strict=True)
+            }
             for key in STATISTICS:
                 cell = cells.get(key, Cell(None))
-                line |= {f"{key}_mean": cell.value, f"{key}_std": cell.spread, f"{key}_n": cell.count or None}
+                line |= {
+                    f"{key}_mean": cell.value,
+                    f"{key}_std": cell.spread,
+                    f"{key}_n": cell.count or None,
+                }
             timed = cells.get("seconds_to_psnr", Cell(None))
-            line |= {"psnr_to_reach": table.target, "reached": "at most" if timed.at_most else timed.text}
+            line |= {
+                "psnr_to_reach": table.target,
+                "reached": "at most" if timed.at_most else timed.text,
+            }
             lines.append(line)
     return lines
 
@@ -140,23 +165,41 @@ def _run_lines(records: Sequence[RunRecord], tables: Sequence[Table]) -> list[di
     lines = []
     for record in records:
         setting = Setting(record.scene, record.views, record.held_out)
-        state = "failed" if record.failure is not None else "complete" if record.final else "incomplete"
-        line: dict[str, object] = {**_about(setting), "method": record.method, "seed": record.seed, "state": state}
+        state = (
+            "failed" if record.failure is not None else "complete" if record.final else "incomplete"
+        )
+        line: dict[str, object] = {
+            **_about(setting),
+            "method": record.method,
+            "seed": record.seed,
+            "state": state,
+        }
         last = record.evaluations[-1] if record.evaluations else None
         line |= {"step": last and last.step, "train_seconds": last and last.train_seconds}
         line |= {metric: last and getattr(last, metric) for metric in METRICS}
         target = targets.get(setting)
         crossing = None if target is None else seconds_to_psnr(record.evaluations, target)
         line |= {"psnr_to_reach": target, "seconds_to_psnr": crossing and crossing.seconds}
-        line |= {"points_per_second": record.points_per_second, "peak_memory_mb": record.peak_memory_mb}
-        line |= {"threads": record.threads, "failure": record.failure, "folder": record.folder.as_posix()}
+        line |= {
+            "points_per_second": record.points_per_second,
+            "peak_memory_mb": record.peak_memory_mb,
+        }
+        line |= {
+            "threads": record.threads,
+            "failure": record.failure,
+            "folder": record.folder.as_posix(),
+        }
         lines.append({**line, "overrides": " ".join(record.command)})
     return lines
 
 
 def _about(setting: Setting | None) -> dict[str, object]:
     assert setting is not None
-    return {"scene": setting.scene, "views": setting.views, "scored": "held-out" if setting.held_out else "test"}
+    return {
+        "scene": setting.scene,
+        "views": setting.views,
+        "scored": "held-out" if setting.held_out else "test",
+    }
 
 
 def _write(path: Path, text: str) -> Path:
@@ -172,6 +215,9 @@ def _write_csv(path: Path, lines: Sequence[dict[str, object]]) -> Path:
         writer.writeheader()
         for line in lines:
             writer.writerow(
-                {key: format(value, ".6g") if isinstance(value, float) else value for key, value in line.items()}
+                {
+                    key: format(value, ".6g") if isinstance(value, float) else value
+                    for key, value in line.items()
+                }
             )
     return path

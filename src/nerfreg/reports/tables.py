@@ -107,5 +107,7 @@ def marked(columns: Sequence[Column], rows: Sequence[Row]) -> tuple[Row, ...]:
         if column.better is None or len(order) < 2:
             continue
         for row, value in printed.items():
-            cells[row][index] = replace(cells[row][index], best=value == order[0], second=value == order[1])
+            cells[row][index] = replace(
+                cells[row][index], best=value == order[0], second=value == order[1]
+            )
     return tuple(replace(row, cells=tuple(of_row)) for row, of_row in zip(rows, cells, strict=True))

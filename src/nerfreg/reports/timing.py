@@ -82,12 +82,20 @@ def costs(records: Sequence[RunRecord]) -> list[Cost]:
 
 def _seconds_per_step(run: RunRecord) -> float | None:
     last = run.evaluations[-1] if run.evaluations else None
-    return last.train_seconds / last.step if last is not None and last.step > 0 and run.failure is None else None
+    return (
+        last.train_seconds / last.step
+        if last is not None and last.step > 0 and run.failure is None
+        else None
+    )
 
 
 def _conditions(run: RunRecord) -> tuple[tuple[str, str], ...]:
     """What a method is compared under: all that may change the time of a step, regularizers aside."""
-    known = {key: value for key, value in identity(run).items() if key != "reg" and not key.startswith("reg.")}
+    known = {
+        key: value
+        for key, value in identity(run).items()
+        if key != "reg" and not key.startswith("reg.")
+    }
     known["threads"] = str(run.threads)
     known["budget"] = "seconds" if run.settings.get("train.seconds") is not None else "steps"
     return tuple(sorted(known.items()))

@@ -54,13 +54,17 @@ def cite(run: Path) -> str:
         selected = list(OmegaConf.select(config, "reg", default={}))
         with_lpips = bool(OmegaConf.select(config, "eval.lpips", default=False))
     except Exception as error:
-        raise NerfregError(f"{path}: not the configuration of a run ({type(error).__name__})") from error
+        raise NerfregError(
+            f"{path}: not the configuration of a run ({type(error).__name__})"
+        ) from error
     known = {plugin.name: plugin for plugin in installed()}
     texts = [CORE, LPIPS] if with_lpips else [CORE]
     for name in selected:
         plugin = known.get(name)
         if plugin is None or plugin.cls is None:
-            raise NerfregError(f"{path}: reg.{name} is not installed here, its source cannot be told")
+            raise NerfregError(
+                f"{path}: reg.{name} is not installed here, its source cannot be told"
+            )
         texts.append(plugin.cls.cite)
     entries = [entry for text in texts for entry in _entries(text)]
     return "\n\n".join(dict(entries).values())
@@ -68,5 +72,7 @@ def cite(run: Path) -> str:
 
 def _entries(text: str) -> list[tuple[str, str]]:
     """(key, entry) pairs: an entry begins with @ at the start of a line."""
-    entries = [entry.strip() for entry in re.split(r"^(?=@)", text, flags=re.MULTILINE) if entry.strip()]
+    entries = [
+        entry.strip() for entry in re.split(r"^(?=@)", text, flags=re.MULTILINE) if entry.strip()
+    ]
     return [(entry.partition("{")[2].partition(",")[0].strip(), entry) for entry in entries]

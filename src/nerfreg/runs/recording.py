@@ -46,7 +46,9 @@ class Recorder:
         self._config = config
         self._drop_all_but(0)
 
-    def save(self, batch: Batch, field: RadianceField, box: Float[Tensor, "2 3"], faults: Sequence[Fault]) -> Path:
+    def save(
+        self, batch: Batch, field: RadianceField, box: Float[Tensor, "2 3"], faults: Sequence[Fault]
+    ) -> Path:
         """Save one step, with the weights of the field as they are."""
         path = self._folder / f"step_{batch.index:06d}.safetensors"
         _write(path, self._config, batch, field.state_dict(), box, faults)
@@ -60,12 +62,24 @@ class Recorder:
 
 
 def _write(
-    path: Path, config: Config, batch: Batch, weights: dict[str, Tensor], box: Tensor, faults: Sequence[Fault]
+    path: Path,
+    config: Config,
+    batch: Batch,
+    weights: dict[str, Tensor],
+    box: Tensor,
+    faults: Sequence[Fault],
 ) -> None:
-    rays = {f"rays.{name}": part for name, part in vars(batch.rays).items() if isinstance(part, Tensor)}
+    rays = {
+        f"rays.{name}": part for name, part in vars(batch.rays).items() if isinstance(part, Tensor)
+    }
     tensors = {**rays, **{f"field.{name}": tensor for name, tensor in weights.items()}}
     tensors |= {"box": box, "chance": batch.chance}
-    step = {"index": batch.index, "total": batch.total, "fraction": batch.fraction, "bounds": batch.bounds}
+    step = {
+        "index": batch.index,
+        "total": batch.total,
+        "fraction": batch.fraction,
+        "bounds": batch.bounds,
+    }
     metadata = {
         "format": FORMAT,
         "config": OmegaConf.to_yaml(OmegaConf.structured(config)),
@@ -74,7 +88,8 @@ def _write(
     }
     # Cloned, because rays may be views of one another, which the format does not know.
     whole = {
-        name: tensor.detach().cpu().clone(memory_format=torch.contiguous_format) for name, tensor in tensors.items()
+        name: tensor.detach().cpu().clone(memory_format=torch.contiguous_format)
+        for name, tensor in tensors.items()
     }
     with atomic(path) as part:
         save_file(whole, part, metadata)
@@ -83,7 +98,9 @@ def _write(
 def load_recording(path: Path) -> Recording:
     """Read such a file. Raises NerfregError for what is none, and where its plugins are not installed."""
     if not path.is_file():
-        raise NerfregError(f"{path}: no such file; training saves steps that are not finite in RUN/nonfinite")
+        raise NerfregError(
+            f"{path}: no such file; training saves steps that are not finite in RUN/nonfinite"
+        )
     try:
         with safe_open(path, "pt") as file:
             metadata = file.metadata() or {}
@@ -99,8 +116,14 @@ def load_recording(path: Path) -> Recording:
     low, high = step["bounds"]
     return Recording(
         config=restored(saved, str(path)),
-        batch=Batch(rays, step["index"], step["total"], step["fraction"], (low, high), tensors["chance"]),
-        weights={name.removeprefix("field."): part for name, part in tensors.items() if name.startswith("field.")},
+        batch=Batch(
+            rays, step["index"], step["total"], step["fraction"], (low, high), tensors["chance"]
+        ),
+        weights={
+            name.removeprefix("field."): part
+            for name, part in tensors.items()
+            if name.startswith("field.")
+        },
         box=tensors["box"],
         faults=tuple(json.loads(metadata["faults"])),
     )

@@ -38,7 +38,9 @@ def replay(path: Path) -> int:
         field.load_state_dict(recording.weights)
     except RuntimeError as error:
         reason = str(error).splitlines()[0]
-        raise NerfregError(f"{path}: its weights do not fit the plugins as they are now: {reason}") from error
+        raise NerfregError(
+            f"{path}: its weights do not fit the plugins as they are now: {reason}"
+        ) from error
     rendering, terms = batch.render(Renderer(field, config.sampler, hooks), hooks)
     faults = faults_of(rendering, terms, field)
 
@@ -72,7 +74,9 @@ def _gradient(rendering: Rendering, terms: Sequence[Term]) -> Float[Tensor, "ray
     total = torch.zeros_like(rendering.density)
     for term in terms:
         if term.value.requires_grad and rendering.density.requires_grad:
-            [part] = torch.autograd.grad(term.value, rendering.density, retain_graph=True, allow_unused=True)
+            [part] = torch.autograd.grad(
+                term.value, rendering.density, retain_graph=True, allow_unused=True
+            )
             total = total if part is None else total + term.weight * part
     return total
 
@@ -83,7 +87,9 @@ def _sample_table(rendering: Rendering, gradient: Float[Tensor, "rays samples"])
     rays = suspects.any(dim=1).nonzero()[:, 0]
     title = f"{int(suspects.sum())} samples on {len(rays)} of {len(suspects)} rays; the first on each ray"
     columns = ("ray", "sample", "t", "density", "weight", "depth", "d loss / d density")
-    table = Table(*columns, box=None, pad_edge=False, title=title, title_justify="left", title_style="")
+    table = Table(
+        *columns, box=None, pad_edge=False, title=title, title_justify="left", title_style=""
+    )
     for ray in rays[:SHOWN].tolist():
         sample = int(suspects[ray].nonzero()[0, 0])
         numbers = (
@@ -97,8 +103,14 @@ def _sample_table(rendering: Rendering, gradient: Float[Tensor, "rays samples"])
     return table
 
 
-def _suspects(rendering: Rendering, gradient: Float[Tensor, "rays samples"]) -> Bool[Tensor, "rays samples"]:
-    fine = gradient.isfinite() & rendering.depth.isfinite()[:, None] & rendering.rgb.isfinite().all(dim=1)[:, None]
+def _suspects(
+    rendering: Rendering, gradient: Float[Tensor, "rays samples"]
+) -> Bool[Tensor, "rays samples"]:
+    fine = (
+        gradient.isfinite()
+        & rendering.depth.isfinite()[:, None]
+        & rendering.rgb.isfinite().all(dim=1)[:, None]
+    )
     for part in (rendering.t, rendering.density, rendering.weights):
         fine = fine & part.isfinite()
     return ~fine

@@ -54,9 +54,15 @@ def train(config: Config, folder: Path) -> dict[str, Any]:
     lpips = load_lpips(config.eval.lpips_weights) if config.eval.lpips else None
     device = prepare(config)
     progress = Progress(config.train.quiet)
-    hooks = CheckedHooks(config.reg, config.train.check_every) if config.train.check else Hooks(config.reg)
+    hooks = (
+        CheckedHooks(config.reg, config.train.check_every)
+        if config.train.check
+        else Hooks(config.reg)
+    )
     if hooks.depth_tellers:
-        progress.message(f"{', '.join(hooks.depth_tellers)}: looking at {len(scene.train)} photographs")
+        progress.message(
+            f"{', '.join(hooks.depth_tellers)}: looking at {len(scene.train)} photographs"
+        )
     trainer = Trainer(
         scene,
         hooks,
@@ -86,14 +92,20 @@ def train(config: Config, folder: Path) -> dict[str, Any]:
                 with trainer.average.applied():
                     renderer = ViewRenderer(trainer.field, config.sampler, scene)
                     scores = score_views(
-                        scene, subset, _strided(renderer, scene, config.eval), lpips, config.eval.pixels_stride
+                        scene,
+                        subset,
+                        _strided(renderer, scene, config.eval),
+                        lpips,
+                        config.eval.pixels_stride,
                     )
                 psnr = scores.psnr
                 append_metrics(folder, _record(trainer, scores, terms))
         _save(folder, trainer)
         progress.message(f"scoring {len(scene.test)} test views")
         with trainer.average.applied():
-            scores = score_views(scene, scene.test, _saving(trainer.field, config, scene, folder), lpips)
+            scores = score_views(
+                scene, scene.test, _saving(trainer.field, config, scene, folder), lpips
+            )
     record = _record(trainer, scores, terms)
     append_metrics(folder, record)
     results = {**record, **_about(config, scene), "peak_memory_mb": round(peak_memory_mb())}
@@ -124,13 +136,18 @@ def evaluate_run(run: Path, overrides: Sequence[str] = ()) -> dict[str, Any]:
     return results
 
 
-def render_run(run: Path, path: str, out: Path, frames: int = 60, fps: float = 30.0, format: str = "gif") -> None:
+def render_run(
+    run: Path, path: str, out: Path, frames: int = 60, fps: float = 30.0, format: str = "gif"
+) -> None:
     """Render the test views of a run to PNG, or a camera path ("spiral", "orbit") to films of colour and depth."""
     config, scene, field, _ = load_run(run)
     renderer = ViewRenderer(field, config.sampler, scene)
     if path == "test":
         for view in scene.test:
-            save_png(out / f"{_label(scene, view)}.png", _picture(scene, view, renderer.view(scene.cameras, view)))
+            save_png(
+                out / f"{_label(scene, view)}.png",
+                _picture(scene, view, renderer.view(scene.cameras, view)),
+            )
         print(out)
         return
     cameras = (spiral_path if path == "spiral" else orbit_path)(scene, frames)
@@ -144,7 +161,9 @@ def render_run(run: Path, path: str, out: Path, frames: int = 60, fps: float = 3
     print(out)
 
 
-def load_run(run: Path, overrides: Sequence[str] = ()) -> tuple[Config, Scene, RadianceField, State]:
+def load_run(
+    run: Path, overrides: Sequence[str] = ()
+) -> tuple[Config, Scene, RadianceField, State]:
     """The configuration, scene and trained field of a run's folder."""
     keep_large_blocks()
     config = read_run(run, overrides)
@@ -159,7 +178,9 @@ def prepare(config: Config) -> torch.device:
     """Set the number of threads, and say which device is meant. Raises NerfregError for one that is not there."""
     count = threads() if config.train.threads is None else config.train.threads
     if not 1 <= count <= numba.config.NUMBA_NUM_THREADS:
-        raise NerfregError(f"train.threads={count}: this machine has 1 to {numba.config.NUMBA_NUM_THREADS}")
+        raise NerfregError(
+            f"train.threads={count}: this machine has 1 to {numba.config.NUMBA_NUM_THREADS}"
+        )
     set_threads(count)
     name = config.device
     if name == "auto":
@@ -168,7 +189,9 @@ def prepare(config: Config) -> torch.device:
         device = torch.device(name)
         torch.empty(0, device=device)
     except (RuntimeError, AssertionError) as error:
-        raise NerfregError(f"device={name}: not available here ({str(error).splitlines()[0]})") from error
+        raise NerfregError(
+            f"device={name}: not available here ({str(error).splitlines()[0]})"
+        ) from error
     return device
 
 
@@ -180,7 +203,10 @@ def losses(terms: Sequence[Term]) -> dict[str, Tensor]:
 def summary(results: dict[str, Any]) -> Iterator[str]:
     """The scores of a run in one line, and what it took in another."""
     names = ("psnr", "ssim", "lpips", "average", "depth_rmse")
-    yield "  ".join(f"{name} {'n/a' if results[name] is None else format(results[name], '.4g')}" for name in names)
+    yield "  ".join(
+        f"{name} {'n/a' if results[name] is None else format(results[name], '.4g')}"
+        for name in names
+    )
     yield (
         f"{results['step']} steps in {results['train_seconds']:.1f} s of training, "
         f"{results['points_per_second'] / 1e6:.2f} million points a second"
@@ -213,7 +239,12 @@ def _record(trainer: Trainer, scores: Scores, terms: Sequence[Term]) -> dict[str
 
 def _per_view(scene: Scene, scores: Scores) -> dict[str, dict[str, float | None]]:
     return {
-        _label(scene, v.view): {"psnr": v.psnr, "ssim": v.ssim, "lpips": v.lpips, "depth_rmse": v.depth_rmse}
+        _label(scene, v.view): {
+            "psnr": v.psnr,
+            "ssim": v.ssim,
+            "lpips": v.lpips,
+            "depth_rmse": v.depth_rmse,
+        }
         for v in scores.views
     }
 
@@ -226,10 +257,15 @@ def _about(config: Config, scene: Scene) -> dict[str, Any]:
         "held_out": config.scene.held_out is not None,
         "train_views": [_label(scene, view) for view in scene.train],
         "regularizers": {name: asdict(plugin) for name, plugin in config.reg.items()},
-        "grid": {key: getattr(config.field, key) for key in ("levels", "base", "finest", "log2_entries")},
+        "grid": {
+            key: getattr(config.field, key) for key in ("levels", "base", "finest", "log2_entries")
+        },
         "seed": config.seed,
         "threads": threads(),
-        "versions": {"python": platform.python_version(), **{name: _version(name) for name in PACKAGES}},
+        "versions": {
+            "python": platform.python_version(),
+            **{name: _version(name) for name in PACKAGES},
+        },
     }
 
 
@@ -244,15 +280,23 @@ def _strided(renderer: ViewRenderer, scene: Scene, config: EvalConfig) -> Callab
     return lambda view: renderer.view(scene.cameras, view, config.pixels_stride)
 
 
-def _saving(field: RadianceField, config: Config, scene: Scene, folder: Path) -> Callable[[int], View]:
+def _saving(
+    field: RadianceField, config: Config, scene: Scene, folder: Path
+) -> Callable[[int], View]:
     """Render views at full size, and save pictures of as many as `eval.save_renders` says."""
     renderer = ViewRenderer(field, config.sampler, scene)
-    saved = set(scene.test if config.eval.save_renders is None else subset_of(scene.test, config.eval.save_renders))
+    saved = set(
+        scene.test
+        if config.eval.save_renders is None
+        else subset_of(scene.test, config.eval.save_renders)
+    )
 
     def render(view: int) -> View:
         rendered = renderer.view(scene.cameras, view)
         if view in saved:
-            save_png(folder / RENDERS / f"{_label(scene, view)}.png", _picture(scene, view, rendered))
+            save_png(
+                folder / RENDERS / f"{_label(scene, view)}.png", _picture(scene, view, rendered)
+            )
         return rendered
 
     return render
@@ -260,7 +304,14 @@ def _saving(field: RadianceField, config: Config, scene: Scene, folder: Path) ->
 
 def _picture(scene: Scene, view: int, rendered: View) -> Float[Tensor, "height panels 3"]:
     """Colour, depth, photograph and error beside each other."""
-    return side_by_side(rendered.rgb, rendered.depth, scene.near, scene.far, rendered.opacity, photograph(scene, view))
+    return side_by_side(
+        rendered.rgb,
+        rendered.depth,
+        scene.near,
+        scene.far,
+        rendered.opacity,
+        photograph(scene, view),
+    )
 
 
 def _label(scene: Scene, view: int) -> str:

@@ -10,7 +10,17 @@ from nerfreg.scenes.procedural import Procedural
 from nerfreg.scenes.scene import Scene
 from nerfreg.scenes.transforms import Transforms
 
-__all__ = ["LLFF", "SCENES", "Blender", "Cameras", "Procedural", "Scene", "SceneConfig", "Transforms", "load_scene"]
+__all__ = [
+    "LLFF",
+    "SCENES",
+    "Blender",
+    "Cameras",
+    "Procedural",
+    "Scene",
+    "SceneConfig",
+    "Transforms",
+    "load_scene",
+]
 
 SCENES: dict[str, type[SceneConfig]] = {
     "procedural": Procedural,

@@ -58,7 +58,9 @@ class SceneConfig:
 
     def split_of_two(self, train_count: int, test_count: int) -> splits.Split:
         """The split of frames that come in a training and a test file, each numbered from 0."""
-        return splits.choose_from_two(self.split, (train_count, test_count), self.views, self.train, self.test)
+        return splits.choose_from_two(
+            self.split, (train_count, test_count), self.views, self.train, self.test
+        )
 
     def after_holding_out(self, split: splits.Split) -> splits.Split:
         """The split, or what `held_out` makes of it."""
@@ -127,7 +129,11 @@ def _place(
         if config.near and config.far:
             near, far = config.near, config.far
         else:
-            near, far = bounds.depth_bounds(*depths) if depths else bounds.guess_depth_bounds(cameras, split.train)
+            near, far = (
+                bounds.depth_bounds(*depths)
+                if depths
+                else bounds.guess_depth_bounds(cameras, split.train)
+            )
             near, far = config.near or near, config.far or far
         if box is None:
             box = bounds.frusta_box(cameras, split.train, near, far)
@@ -146,7 +152,11 @@ def _given_box(config: SceneConfig) -> Float[Tensor, "2 3"] | None:
     except (TypeError, ValueError):
         box = torch.empty(0)
     if box.shape != (2, 3):
-        raise NerfregError(f"scene.box={config.box}: must be two corners, e.g. [[-1,-1,-1],[1,1,1]]")
+        raise NerfregError(
+            f"scene.box={config.box}: must be two corners, e.g. [[-1,-1,-1],[1,1,1]]"
+        )
     if not (torch.isfinite(box).all() and (box[0] < box[1]).all()):
-        raise NerfregError(f"scene.box={config.box}: the first corner must be below the second in x, y and z")
+        raise NerfregError(
+            f"scene.box={config.box}: the first corner must be below the second in x, y and z"
+        )
     return box

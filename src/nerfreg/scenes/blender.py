@@ -14,7 +14,14 @@ from torch import Tensor
 from nerfreg.errors import NerfregError
 from nerfreg.scenes.base import SceneConfig, assemble
 from nerfreg.scenes.cameras import Cameras
-from nerfreg.scenes.checks import frame_pose, number, read_json, require, require_frames, scene_folder
+from nerfreg.scenes.checks import (
+    frame_pose,
+    number,
+    read_json,
+    require,
+    require_frames,
+    scene_folder,
+)
 from nerfreg.scenes.images import check_headers, find_image, read_image
 from nerfreg.scenes.scene import Scene
 from nerfreg.scenes.splits import Split
@@ -36,7 +43,9 @@ class Blender(SceneConfig):
         train_files, train_poses, angle = _read_frames(folder / "transforms_train.json")
         test_files, test_poses, _ = _read_frames(folder / "transforms_test.json")
         train, test = self.split_of_two(len(train_poses), len(test_poses))
-        split = self.after_holding_out(Split(train, tuple(len(train_poses) + view for view in test)))
+        split = self.after_holding_out(
+            Split(train, tuple(len(train_poses) + view for view in test))
+        )
         files = train_files + test_files
         header = check_headers([files[view] for view in (*split.train, *split.test)])
         if not 1 <= self.factor <= min(header.width, header.height):

@@ -67,7 +67,9 @@ def orbit_box(cameras: Cameras, views: Sequence[int], has_alpha: bool) -> Float[
     return torch.stack((center - half_side, center + half_side))
 
 
-def bounds_of_box(cameras: Cameras, views: Sequence[int], box: Float[Tensor, "2 3"]) -> tuple[float, float]:
+def bounds_of_box(
+    cameras: Cameras, views: Sequence[int], box: Float[Tensor, "2 3"]
+) -> tuple[float, float]:
     """Nearest and farthest distance from the cameras to the ball around the box."""
     center, reach = box.mean(0), float((box[1] - box[0]).norm()) / 2
     distances = (cameras.positions[list(views)] - center).norm(dim=-1)
@@ -95,7 +97,9 @@ def frustum(cameras: Cameras, view: int, depth: float) -> Float[Tensor, "4 3"]:
     return origins + directions * along[:, None]
 
 
-def frusta_box(cameras: Cameras, views: Sequence[int], near: float, far: float) -> Float[Tensor, "2 3"]:
+def frusta_box(
+    cameras: Cameras, views: Sequence[int], near: float, far: float
+) -> Float[Tensor, "2 3"]:
     """The axis-aligned box of what the cameras see between two depths (measured along the optical axis)."""
     corners = torch.cat([frustum(cameras, view, depth) for view in views for depth in (near, far)])
     return torch.stack((corners.amin(0), corners.amax(0)))
@@ -103,11 +107,16 @@ def frusta_box(cameras: Cameras, views: Sequence[int], near: float, far: float) 
 
 def ray_length(cameras: Cameras, views: Sequence[int], depth: float) -> float:
     """The longest distance along a ray to a plane at `depth`: that through the corner farthest from the axis."""
-    lengths = [(frustum(cameras, view, depth) - cameras.positions[view]).norm(dim=-1).max() for view in views]
+    lengths = [
+        (frustum(cameras, view, depth) - cameras.positions[view]).norm(dim=-1).max()
+        for view in views
+    ]
     return float(torch.stack(lengths).max())
 
 
-def _distances_ahead(cameras: Cameras, views: Sequence[int], point: Float[Tensor, " 3"]) -> Float[Tensor, " views"]:
+def _distances_ahead(
+    cameras: Cameras, views: Sequence[int], point: Float[Tensor, " 3"]
+) -> Float[Tensor, " views"]:
     offsets = point - cameras.positions[list(views)]
     distances = offsets.norm(dim=-1)
     ahead = (offsets * cameras.axes[list(views)]).sum(-1)

@@ -36,7 +36,9 @@ class Cameras:
     def of(self, views: Sequence[int]) -> Cameras:
         """Some of the views, numbered from 0 in the order given."""
         index = list(views)
-        parts = {name: getattr(self, name)[index] for name in ("poses", "focal", "center", "distortion")}
+        parts = {
+            name: getattr(self, name)[index] for name in ("poses", "focal", "center", "distortion")
+        }
         return dataclasses.replace(self, **parts)
 
     @property

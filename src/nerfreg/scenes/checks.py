@@ -20,13 +20,17 @@ def check_choice(key: str, value: str, choices: Sequence[str]) -> str:
     """Return `value` if it is one of `choices`; otherwise name the nearest one."""
     if value in choices:
         return value
-    raise NerfregError(f"{key}={value}: unknown; {nearest(value, choices)} (one of {', '.join(choices)})")
+    raise NerfregError(
+        f"{key}={value}: unknown; {nearest(value, choices)} (one of {', '.join(choices)})"
+    )
 
 
 def scene_folder(path: str | None) -> Path:
     """The folder or file that `scene.path` names."""
     if not path:
-        raise NerfregError("scene.path: not set; say where the scene lies, e.g. scene.path=data/fern")
+        raise NerfregError(
+            "scene.path: not set; say where the scene lies, e.g. scene.path=data/fern"
+        )
     folder = Path(path).expanduser()
     if not folder.exists():
         raise NerfregError(f"scene.path={path}: no such file or folder")
@@ -56,7 +60,11 @@ def require(content: dict[str, Any], key: str, where: str) -> Any:
 def require_frames(content: dict[str, Any], path: Path) -> list[dict[str, Any]]:
     """The frames of a transforms file, at least one."""
     frames = require(content, "frames", str(path))
-    if not isinstance(frames, list) or not frames or not all(isinstance(frame, dict) for frame in frames):
+    if (
+        not isinstance(frames, list)
+        or not frames
+        or not all(isinstance(frame, dict) for frame in frames)
+    ):
         raise NerfregError(f"{path}: 'frames' must be a list of at least one frame")
     return frames
 
@@ -88,7 +96,9 @@ def check_rigid(pose: Float[np.ndarray, "3 4"], where: str) -> Float[np.ndarray,
     rotation = pose[:, :3]
     error = np.abs(rotation.T @ rotation - np.eye(3)).max()
     if error > RIGID_TOLERANCE:
-        raise NerfregError(f"{where}: the pose is not rigid; its axes are off orthonormal by {error:.2g}")
+        raise NerfregError(
+            f"{where}: the pose is not rigid; its axes are off orthonormal by {error:.2g}"
+        )
     if np.linalg.det(rotation) < 0:
         raise NerfregError(f"{where}: the pose is not rigid; it mirrors (determinant -1)")
     return pose

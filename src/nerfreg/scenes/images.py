@@ -35,7 +35,11 @@ def find_image(path: Path) -> Path:
 
 def list_images(folder: Path) -> list[Path]:
     """All images of a folder, sorted by name."""
-    return sorted(path for path in folder.iterdir() if path.suffix in EXTENSIONS and not path.name.startswith("."))
+    return sorted(
+        path
+        for path in folder.iterdir()
+        if path.suffix in EXTENSIONS and not path.name.startswith(".")
+    )
 
 
 def read_header(path: Path) -> ImageHeader:
@@ -61,7 +65,9 @@ def check_headers(paths: Sequence[Path]) -> ImageHeader:
             )
         if header.has_alpha != first.has_alpha:
             with_alpha, without = (path, paths[0]) if header.has_alpha else (paths[0], path)
-            raise NerfregError(f"{without}: has no alpha channel, but {with_alpha} has; give all or none of them one")
+            raise NerfregError(
+                f"{without}: has no alpha channel, but {with_alpha} has; give all or none of them one"
+            )
     return first
 
 
@@ -81,7 +87,9 @@ def read_image(path: Path, factor: int = 1) -> Float[Tensor, "height width chann
     return reduce(torch.from_numpy(pixels.astype(np.float32) / np.float32(limit)), factor)
 
 
-def reduce(image: Float[Tensor, "height width channels"], factor: int) -> Float[Tensor, "rows columns channels"]:
+def reduce(
+    image: Float[Tensor, "height width channels"], factor: int
+) -> Float[Tensor, "rows columns channels"]:
     """Mean of `factor` x `factor` blocks; rows and columns that fill no block are dropped.
 
     Straight alpha weighs the colours, so that invisible pixels do not tint visible ones.
@@ -90,9 +98,13 @@ def reduce(image: Float[Tensor, "height width channels"], factor: int) -> Float[
         return image
     height, width, channels = image.shape
     if factor < 1 or factor > min(height, width):
-        raise NerfregError(f"scene.factor={factor}: must lie between 1 and the image size, {width} x {height}")
+        raise NerfregError(
+            f"scene.factor={factor}: must lie between 1 and the image size, {width} x {height}"
+        )
     rows, columns = height // factor, width // factor
-    blocks = image[: rows * factor, : columns * factor].reshape(rows, factor, columns, factor, channels)
+    blocks = image[: rows * factor, : columns * factor].reshape(
+        rows, factor, columns, factor, channels
+    )
     if channels == 3:
         return blocks.mean(dim=(1, 3))
     alpha = blocks[..., 3:]

@@ -26,7 +26,9 @@ def describe(scene: Scene) -> str:
     """A few lines on what was found: counts, cameras, split, bounds, alpha and depth."""
     cameras, views = scene.cameras, [*scene.train, *scene.test]
     focal, center = cameras.focal[views], cameras.center[views]
-    angles = torch.rad2deg(2 * torch.atan(0.5 * torch.tensor([cameras.width, cameras.height]) / focal)).mean(0)
+    angles = torch.rad2deg(
+        2 * torch.atan(0.5 * torch.tensor([cameras.width, cameras.height]) / focal)
+    ).mean(0)
     distortion = cameras.distortion[views]
     size = scene.box[1] - scene.box[0]
     background = "none (opaque photographs)"
@@ -43,12 +45,20 @@ def describe(scene: Scene) -> str:
         ("training", _views(scene, scene.train)),
         ("test", _views(scene, scene.test)),
         ("near, far", f"{scene.near:.4g}, {scene.far:.4g}"),
-        ("box", f"{_numbers(scene.box[0])} to {_numbers(scene.box[1])}, {' x '.join(f'{s:.4g}' for s in size)}"),
+        (
+            "box",
+            f"{_numbers(scene.box[0])} to {_numbers(scene.box[1])}, {' x '.join(f'{s:.4g}' for s in size)}",
+        ),
         ("depth", "known" if scene.read_depth else "unknown"),
     ]
     shared = sorted({*scene.train} & {*scene.test})
     if shared:
-        lines.append(("note", f"views {', '.join(map(str, shared))} both train and test: scores will flatter"))
+        lines.append(
+            (
+                "note",
+                f"views {', '.join(map(str, shared))} both train and test: scores will flatter",
+            )
+        )
     return "\n".join(f"{name:<14}{text}" for name, text in lines)
 
 
@@ -94,13 +104,19 @@ def _views_of_world(scene: Scene) -> tuple[_Projection, _Projection]:
     up = int(upward.abs().argmax())
     up_sign = 1.0 if upward[up] > 0 else -1.0
     first, second = (axis for axis in range(3) if axis != up)
-    ahead = first if scene.layout == "forward" and abs(forward[first]) > abs(forward[second]) else second
+    ahead = (
+        first
+        if scene.layout == "forward" and abs(forward[first]) > abs(forward[second])
+        else second
+    )
     across = first if ahead == second else second
     ahead_sign = -1.0 if scene.layout == "forward" and forward[ahead] < 0 else 1.0
     # Right-handed, seen against the upward axis: right x ahead = up.
     cycle = 1.0 if (across + 1) % 3 == ahead else -1.0
     across_sign = cycle * ahead_sign * up_sign
-    return _Projection(across, across_sign, ahead, ahead_sign), _Projection(ahead, ahead_sign, up, up_sign)
+    return _Projection(across, across_sign, ahead, ahead_sign), _Projection(
+        ahead, ahead_sign, up, up_sign
+    )
 
 
 def _draw_panel(axes: Axes, scene: Scene, projection: _Projection) -> None:
@@ -109,13 +125,19 @@ def _draw_panel(axes: Axes, scene: Scene, projection: _Projection) -> None:
 
     low, high = projection(scene.box)
     width, height = high - low
-    axes.add_patch(Rectangle((low[0], low[1]), width, height, fill=False, color=BOX_COLOR, linewidth=1.5, label="box"))
+    axes.add_patch(
+        Rectangle(
+            (low[0], low[1]), width, height, fill=False, color=BOX_COLOR, linewidth=1.5, label="box"
+        )
+    )
     positions = projection(scene.cameras.positions[[*scene.train, *scene.test]])
     extent = float((np.maximum(high, positions.max(0)) - np.minimum(low, positions.min(0))).max())
     shown = [low, high, *positions]
     if scene.layout == "orbit" or len(scene.train) > 1:
         point = projection(bounds.look_at_point(scene.cameras, scene.train)[None])[0]
-        axes.scatter(point[0], point[1], marker="+", s=90, color=POINT_COLOR, label="look-at point", zorder=4)
+        axes.scatter(
+            point[0], point[1], marker="+", s=90, color=POINT_COLOR, label="look-at point", zorder=4
+        )
         shown.append(point)
     if scene.layout == "orbit":
         shown += _draw_frusta(axes, scene, projection, 0.09 * extent)
@@ -123,8 +145,15 @@ def _draw_panel(axes: Axes, scene: Scene, projection: _Projection) -> None:
         _draw_frusta(axes, scene, projection, 0.04 * extent)
         for view in scene.train:
             apex = projection(scene.cameras.positions[view][None])[0]
-            reach = float((scene.box.mean(0) - scene.cameras.positions[view]) @ scene.cameras.axes[view]) * 2
-            edges = [(apex, corner) for corner in projection(bounds.frustum(scene.cameras, view, reach))]
+            reach = (
+                float(
+                    (scene.box.mean(0) - scene.cameras.positions[view]) @ scene.cameras.axes[view]
+                )
+                * 2
+            )
+            edges = [
+                (apex, corner) for corner in projection(bounds.frustum(scene.cameras, view, reach))
+            ]
             axes.add_collection(LineCollection(edges, color=TRAIN_COLOR, linewidth=0.5, alpha=0.3))
         _draw_closeup(axes, scene, projection, positions)
     _frame_panel(axes, np.stack(shown), projection)
@@ -134,23 +163,36 @@ def _draw_panel(axes: Axes, scene: Scene, projection: _Projection) -> None:
     axes.set_axisbelow(True)
 
 
-def _draw_frusta(axes: Axes, scene: Scene, projection: _Projection, length: float) -> list[Float[np.ndarray, " 2"]]:
+def _draw_frusta(
+    axes: Axes, scene: Scene, projection: _Projection, length: float
+) -> list[Float[np.ndarray, " 2"]]:
     """Draw all cameras of the split as pyramids of some length; returns the corners."""
     from matplotlib.collections import LineCollection, PolyCollection
 
     corners = []
-    for views, color, name in ((scene.test, TEST_COLOR, "test"), (scene.train, TRAIN_COLOR, "training")):
+    for views, color, name in (
+        (scene.test, TEST_COLOR, "test"),
+        (scene.train, TRAIN_COLOR, "training"),
+    ):
         outlines = [projection(bounds.frustum(scene.cameras, view, length)) for view in views]
         apexes = projection(scene.cameras.positions[list(views)])
-        edges = [(apex, corner) for apex, outline in zip(apexes, outlines, strict=True) for corner in outline]
-        axes.add_collection(PolyCollection(outlines, facecolor=color, edgecolor=color, alpha=0.25, linewidth=0.8))
+        edges = [
+            (apex, corner)
+            for apex, outline in zip(apexes, outlines, strict=True)
+            for corner in outline
+        ]
+        axes.add_collection(
+            PolyCollection(outlines, facecolor=color, edgecolor=color, alpha=0.25, linewidth=0.8)
+        )
         axes.add_collection(LineCollection(edges, color=color, linewidth=1.0, alpha=0.8))
         axes.scatter(apexes[:, 0], apexes[:, 1], s=14, color=color, label=name, zorder=3)
         corners += [corner for outline in outlines for corner in outline]
     return corners
 
 
-def _draw_closeup(axes: Axes, scene: Scene, projection: _Projection, positions: Float[np.ndarray, "views 2"]) -> None:
+def _draw_closeup(
+    axes: Axes, scene: Scene, projection: _Projection, positions: Float[np.ndarray, "views 2"]
+) -> None:
     """Cameras that stand side by side are a dot beside what they see; show them larger in a corner of the box."""
     spread = float((positions.max(0) - positions.min(0)).max())
     if spread == 0:
@@ -186,7 +228,8 @@ def _distortion(values: Float[Tensor, "views 5"]) -> str:
     if not values.any():
         return "none"
     return ", ".join(
-        f"{name} {_range(column)}" for name, column in zip(("k1", "k2", "p1", "p2", "k3"), values.T, strict=True)
+        f"{name} {_range(column)}"
+        for name, column in zip(("k1", "k2", "p1", "p2", "k3"), values.T, strict=True)
     )
 
 

@@ -9,7 +9,9 @@ from torch import Tensor
 NEWTON_STEPS = 8
 
 
-def distort(points: Float[Tensor, "points 2"], coefficients: Float[Tensor, "points 5"]) -> Float[Tensor, "points 2"]:
+def distort(
+    points: Float[Tensor, "points 2"], coefficients: Float[Tensor, "points 5"]
+) -> Float[Tensor, "points 2"]:
     """Where an ideal pinhole point (x, y) at depth 1 lands behind the lens; y down. coefficients: k1, k2, p1, p2, k3.
 
     x' = x (1 + k1 r^2 + k2 r^4 + k3 r^6) + 2 p1 x y + p2 (r^2 + 2 x^2)
@@ -24,7 +26,9 @@ def distort(points: Float[Tensor, "points 2"], coefficients: Float[Tensor, "poin
     return torch.stack((xd, yd), -1)
 
 
-def undistort(points: Float[Tensor, "points 2"], coefficients: Float[Tensor, "points 5"]) -> Float[Tensor, "points 2"]:
+def undistort(
+    points: Float[Tensor, "points 2"], coefficients: Float[Tensor, "points 5"]
+) -> Float[Tensor, "points 2"]:
     """The inverse of `distort` by Newton's method, from the distorted point.
 
     Where the lens folds the image over itself there is no inverse; the result is then finite and wrong, and
@@ -49,7 +53,9 @@ def undistort(points: Float[Tensor, "points 2"], coefficients: Float[Tensor, "po
     return solution
 
 
-def invertible(points: Float[Tensor, "points 2"], coefficients: Float[Tensor, "points 5"], tolerance: float) -> bool:
+def invertible(
+    points: Float[Tensor, "points 2"], coefficients: Float[Tensor, "points 5"], tolerance: float
+) -> bool:
     """Whether `undistort` finds, for all points, where they came from, to `tolerance`."""
     error = distort(undistort(points, coefficients), coefficients) - points
     return bool((error.abs() < tolerance).all())

@@ -39,7 +39,9 @@ class LLFF(SceneConfig):
         images = _image_folder(folder, self.factor)
         files = list_images(images)
         if len(files) != len(poses):
-            raise NerfregError(f"{images}: holds {len(files)} images, but {path} has {len(poses)} poses")
+            raise NerfregError(
+                f"{images}: holds {len(files)} images, but {path} has {len(poses)} poses"
+            )
         split = self.after_holding_out(self.split_of_one(len(files)))
         header = check_headers([files[view] for view in (*split.train, *split.test)])
         # The file speaks of the photographs as they were taken, these may be smaller.
@@ -87,7 +89,9 @@ def _read_poses(path: Path) -> _PosesBounds:
     except (OSError, ValueError, EOFError) as error:
         raise NerfregError(f"{path}: cannot be read as a numpy array: {error}") from None
     if not isinstance(rows, np.ndarray) or rows.ndim != 2 or rows.shape[1] != 17 or not len(rows):
-        raise NerfregError(f"{path}: must have shape (images, 17), not {getattr(rows, 'shape', None)}")
+        raise NerfregError(
+            f"{path}: must have shape (images, 17), not {getattr(rows, 'shape', None)}"
+        )
     if rows.dtype.kind not in "fiu":
         raise NerfregError(f"{path}: must hold real numbers, not {rows.dtype}")
     rows = rows.astype(np.float64)
@@ -101,7 +105,9 @@ def _read_poses(path: Path) -> _PosesBounds:
     if not (np.isfinite(rows).all() and (matrices[:, :, 4] > 0).all()):
         raise NerfregError(f"{path}: height, width and focal length must be positive in every row")
     if not ((depths[:, 0] > 0) & (depths[:, 0] < depths[:, 1])).all():
-        raise NerfregError(f"{path}: the bounds (the last two columns) must be 0 < near < far in every row")
+        raise NerfregError(
+            f"{path}: the bounds (the last two columns) must be 0 < near < far in every row"
+        )
     return _PosesBounds(poses, np.stack((width, height), axis=1), focal, depths)
 
 

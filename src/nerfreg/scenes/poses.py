@@ -9,14 +9,18 @@ from torch.nn import functional
 
 
 def look_at(
-    position: Float[Tensor, "*cameras 3"], target: Float[Tensor, "*#cameras 3"], up: Float[Tensor, "*#cameras 3"]
+    position: Float[Tensor, "*cameras 3"],
+    target: Float[Tensor, "*#cameras 3"],
+    up: Float[Tensor, "*#cameras 3"],
 ) -> Float[Tensor, "*cameras 3 4"]:
     """Poses of upright cameras at `position` that see `target` in the middle, with `up` upward."""
     return pose(position - target, up, position)
 
 
 def pose(
-    back: Float[Tensor, "*cameras 3"], up: Float[Tensor, "*#cameras 3"], position: Float[Tensor, "*cameras 3"]
+    back: Float[Tensor, "*cameras 3"],
+    up: Float[Tensor, "*#cameras 3"],
+    position: Float[Tensor, "*cameras 3"],
 ) -> Float[Tensor, "*cameras 3 4"]:
     """Poses of cameras that look along -`back`, with y as near to `up` as that allows."""
     z = functional.normalize(back, dim=-1)

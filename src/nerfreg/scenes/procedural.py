@@ -66,7 +66,10 @@ class Procedural(SceneConfig):
             name=f"procedural-{layout}",
             cameras=cameras,
             split=kept,
-            labels=[f"{'train' if view in split.train else 'test'}/{view}" for view in range(len(cameras))],
+            labels=[
+                f"{'train' if view in split.train else 'test'}/{view}"
+                for view in range(len(cameras))
+            ],
             read_image=read_image,
             has_alpha=layout == "orbit",
             layout=layout,
@@ -77,7 +80,12 @@ class Procedural(SceneConfig):
     def _cameras(self, layout: str) -> tuple[Cameras, Split]:
         views = 8 if self.views is None else self.views
         height = self.size if self.height is None else self.height
-        for key, value in (("views", views), ("test_views", self.test_views), ("size", self.size), ("height", height)):
+        for key, value in (
+            ("views", views),
+            ("test_views", self.test_views),
+            ("size", self.size),
+            ("height", height),
+        ):
             if value < 1:
                 raise NerfregError(f"scene.{key}={value}: must be at least 1")
         place = orbit_positions if layout == "orbit" else forward_positions
@@ -111,7 +119,9 @@ def orbit_positions(count: int, between: bool) -> Float[np.ndarray, "count 3"]:
     low, high = math.sin(math.radians(15)), math.sin(math.radians(65))
     up = low + (high - low) * share
     across = np.sqrt(1 - up * up)
-    return TARGET + ORBIT_DISTANCE * np.stack((across * np.cos(azimuth), across * np.sin(azimuth), up), axis=1)
+    return TARGET + ORBIT_DISTANCE * np.stack(
+        (across * np.cos(azimuth), across * np.sin(azimuth), up), axis=1
+    )
 
 
 def forward_positions(count: int, between: bool) -> Float[np.ndarray, "count 3"]:
@@ -148,21 +158,58 @@ def solids_of(layout: str, seed: int) -> Still:
 
     solids = [
         Solid(BALL, (-0.35, 0.25, -0.10), (0.40, 0.40, 0.40), texture("marble", 0, 0.9), gloss=0.6),
-        Solid(BLOCK, (0.42, 0.30, -0.15), (0.28, 0.24, 0.35), texture("checker", 1, 0.35), turn=0.5),
-        Solid(DRUM, (0.12, -0.50, -0.05), (0.18, 0.18, 0.45), texture("stripes", 2, 0.3), gloss=0.5),
+        Solid(
+            BLOCK, (0.42, 0.30, -0.15), (0.28, 0.24, 0.35), texture("checker", 1, 0.35), turn=0.5
+        ),
+        Solid(
+            DRUM, (0.12, -0.50, -0.05), (0.18, 0.18, 0.45), texture("stripes", 2, 0.3), gloss=0.5
+        ),
         Solid(BALL, (-0.52, -0.48, -0.28), (0.22, 0.22, 0.22), texture("dots", 3, 0.3), gloss=0.6),
-        Solid(BALL, (0.66, -0.30, -0.30), (0.20, 0.28, 0.20), texture("stripes", 4, 0.25), turn=0.7, gloss=0.5),
+        Solid(
+            BALL,
+            (0.66, -0.30, -0.30),
+            (0.20, 0.28, 0.20),
+            texture("stripes", 4, 0.25),
+            turn=0.7,
+            gloss=0.5,
+        ),
         Solid(BLOCK, (0.42, 0.30, 0.35), (0.15, 0.15, 0.15), texture("marble", 5, 0.5), turn=1.1),
     ]
     if layout == "orbit":
-        solids.append(Solid(DRUM, (0.0, 0.0, -0.55), (1.15, 1.15, 0.05), texture("checker", 6, 1.1, 0.35), gloss=0.1))
+        solids.append(
+            Solid(
+                DRUM,
+                (0.0, 0.0, -0.55),
+                (1.15, 1.15, 0.05),
+                texture("checker", 6, 1.1, 0.35),
+                gloss=0.1,
+            )
+        )
     else:
-        solids.append(Solid(BLOCK, (0.0, 0.0, -10.5), (20.0, 20.0, 10.0), texture("checker", 6, 1.1, 0.35), gloss=0.1))
-        solids.append(Solid(BLOCK, (0.0, 11.5, 0.0), (20.0, 10.0, 20.0), texture("marble", 7, 2.2, 0.5), gloss=0.1))
+        solids.append(
+            Solid(
+                BLOCK,
+                (0.0, 0.0, -10.5),
+                (20.0, 20.0, 10.0),
+                texture("checker", 6, 1.1, 0.35),
+                gloss=0.1,
+            )
+        )
+        solids.append(
+            Solid(
+                BLOCK,
+                (0.0, 11.5, 0.0),
+                (20.0, 10.0, 20.0),
+                texture("marble", 7, 2.2, 0.5),
+                gloss=0.1,
+            )
+        )
     return Still(solids)
 
 
-def render(still: Still, cameras: Cameras, view: int, has_alpha: bool) -> Float[Tensor, "height width channels"]:
+def render(
+    still: Still, cameras: Cameras, view: int, has_alpha: bool
+) -> Float[Tensor, "height width channels"]:
     """The image of a view, each pixel the mean of 2 x 2 rays; with alpha, that is the share of rays that hit."""
     fine = replace(
         cameras,
@@ -188,7 +235,9 @@ def depth_range(still: Still, cameras: Cameras, views: Sequence[int]) -> tuple[f
     """Least and greatest depth along the optical axis that the views see, on a lattice of their pixels."""
     stride = max(1, min(cameras.width, cameras.height) // 32)
     y, x = torch.meshgrid(
-        torch.arange(0, cameras.height, stride), torch.arange(0, cameras.width, stride), indexing="ij"
+        torch.arange(0, cameras.height, stride),
+        torch.arange(0, cameras.width, stride),
+        indexing="ij",
     )
     pixels = torch.stack((x, y), -1).reshape(-1, 2)
     least, greatest = math.inf, 0.0

@@ -35,7 +35,9 @@ def _ball_crossing(o: Points, d: Points) -> tuple[Tensor, Tensor]:
 
 def _dot(a: Tensor, b: Tensor) -> Tensor:
     # Column by column: a reduction over so short an axis is several times slower.
-    return functools.reduce(torch.add, ((x * y) for x, y in zip(a.unbind(-1), b.unbind(-1), strict=True)))
+    return functools.reduce(
+        torch.add, ((x * y) for x, y in zip(a.unbind(-1), b.unbind(-1), strict=True))
+    )
 
 
 def _roots(a: Tensor, half_b: Tensor, c: Tensor) -> tuple[Tensor, Tensor]:
@@ -120,7 +122,9 @@ class Solid:
     def crossing(self, origins: Points, directions: Points) -> tuple[Tensor, Tensor]:
         """Distances (P,) at which rays of the world enter and leave."""
         to_local: Tensor = self._axes(origins) / origins.new_tensor(self.half_size)
-        return self.shape.crossing((origins - origins.new_tensor(self.place)) @ to_local, directions @ to_local)
+        return self.shape.crossing(
+            (origins - origins.new_tensor(self.place)) @ to_local, directions @ to_local
+        )
 
     def surface(self, points: Points) -> tuple[Points, Points]:
         """Colours and unit normals, (P, 3) each, at points on the surface."""
@@ -144,7 +148,9 @@ class Still:
     ambient: float = 0.4
     shininess: float = 30.0
 
-    def trace(self, origins: Points, directions: Points) -> tuple[Float[Tensor, " points"], Int[Tensor, " points"]]:
+    def trace(
+        self, origins: Points, directions: Points
+    ) -> tuple[Float[Tensor, " points"], Int[Tensor, " points"]]:
         """Distance along unit rays to the first solid, (P,), inf where there is none; and which solid that is.
 
         The rays start outside all solids.
@@ -164,7 +170,11 @@ class Still:
         hit = distance.isfinite()
         colors = torch.zeros_like(origins)
         points = origins[hit] + distance[hit, None] * directions[hit]
-        albedo, normals, gloss = torch.zeros_like(points), torch.zeros_like(points), torch.zeros_like(points[:, :1])
+        albedo, normals, gloss = (
+            torch.zeros_like(points),
+            torch.zeros_like(points),
+            torch.zeros_like(points[:, :1]),
+        )
         for number, solid in enumerate(self.solids):
             mine = index[hit] == number
             albedo[mine], normals[mine] = solid.surface(points[mine])

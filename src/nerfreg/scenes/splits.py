@@ -53,7 +53,9 @@ def nerf_synthetic_8(train_count: int, test_count: int, views: int | None = None
     return _not_empty(Split(train, test), "nerf_synthetic_8")
 
 
-def lists(train: Views, test: Views, default: Split, counts: tuple[int, int], views: int | None) -> Split:
+def lists(
+    train: Views, test: Views, default: Split, counts: tuple[int, int], views: int | None
+) -> Split:
     """Explicit lists; one that is None is taken from `default`. `views` takes the first of the training list.
 
     The lists may share views: with a handful of photographs there may be none to spare.
@@ -62,10 +64,14 @@ def lists(train: Views, test: Views, default: Split, counts: tuple[int, int], vi
         default.train if train is None else _check_list("train", train, counts[0]),
         default.test if test is None else _check_list("test", test, counts[1]),
     )
-    return _not_empty(Split(split.train[: _check_views(views, len(split.train))], split.test), "lists")
+    return _not_empty(
+        Split(split.train[: _check_views(views, len(split.train))], split.test), "lists"
+    )
 
 
-def choose_from_one(name: str | None, count: int, views: int | None, train: Views = None, test: Views = None) -> Split:
+def choose_from_one(
+    name: str | None, count: int, views: int | None, train: Views = None, test: Views = None
+) -> Split:
     """The split of `count` images that lie together. name None: the lists if there are any, else `every_8`."""
     name = _protocol(name, "every_8", train, test)
     if name == "nerf_synthetic_8":
@@ -110,7 +116,9 @@ def hold_out(split: Split, positions: Sequence[int]) -> Split:
             )
     train = tuple(view for position, view in enumerate(split.train) if position not in positions)
     if not (train and positions):
-        raise NerfregError(f"scene.held_out={list(positions)}: must name some, not all, of the {count} training views")
+        raise NerfregError(
+            f"scene.held_out={list(positions)}: must name some, not all, of the {count} training views"
+        )
     return Split(train, tuple(split.train[position] for position in sorted(set(positions))))
 
 
@@ -120,9 +128,13 @@ def _protocol(name: str | None, default: str, train: Views, test: Views) -> str:
         return "lists" if listed else default
     check_choice("scene.split", name, PROTOCOLS)
     if listed and name != "lists":
-        raise NerfregError(f"scene.split={name}: scene.train and scene.test are read with scene.split=lists only")
+        raise NerfregError(
+            f"scene.split={name}: scene.train and scene.test are read with scene.split=lists only"
+        )
     if name == "lists" and not listed:
-        raise NerfregError("scene.split=lists: give scene.train and scene.test, e.g. 'scene.train=[1,5,9]'")
+        raise NerfregError(
+            "scene.split=lists: give scene.train and scene.test, e.g. 'scene.train=[1,5,9]'"
+        )
     return name
 
 
@@ -132,14 +144,18 @@ def _check_views(views: int | None, available: int) -> int:
     if views < 1:
         raise NerfregError(f"scene.views={views}: must be at least 1")
     if views > available:
-        raise NerfregError(f"scene.views={views}: there are only {available} training views to choose from")
+        raise NerfregError(
+            f"scene.views={views}: there are only {available} training views to choose from"
+        )
     return views
 
 
 def _check_list(key: str, values: Sequence[int], count: int) -> tuple[int, ...]:
     for value in values:
         if not 0 <= value < count:
-            raise NerfregError(f"scene.{key}: view {value} does not exist; views are 0 to {count - 1}")
+            raise NerfregError(
+                f"scene.{key}: view {value} does not exist; views are 0 to {count - 1}"
+            )
     if len(set(values)) < len(values):
         raise NerfregError(f"scene.{key}={list(values)}: a view appears twice")
     return tuple(values)

@@ -15,7 +15,14 @@ from nerfreg.errors import NerfregError
 from nerfreg.scenes import lens
 from nerfreg.scenes.base import SceneConfig, assemble
 from nerfreg.scenes.cameras import Cameras
-from nerfreg.scenes.checks import frame_pose, number, read_json, require, require_frames, scene_folder
+from nerfreg.scenes.checks import (
+    frame_pose,
+    number,
+    read_json,
+    require,
+    require_frames,
+    scene_folder,
+)
 from nerfreg.scenes.images import ImageHeader, check_headers, find_image, read_image
 from nerfreg.scenes.scene import Scene
 from nerfreg.scenes.splits import Split, evenly
@@ -42,9 +49,13 @@ class Transforms(SceneConfig):
         path = path / "transforms.json" if path.is_dir() else path
         content = read_json(path)
         frames = require_frames(content, path)
-        names = [str(require(frame, "file_path", f"{path}: frame {i}")) for i, frame in enumerate(frames)]
+        names = [
+            str(require(frame, "file_path", f"{path}: frame {i}")) for i, frame in enumerate(frames)
+        ]
         files = [find_image(path.parent / name) for name in names]
-        poses = np.stack([frame_pose(frame, f"{path}: frame {i}") for i, frame in enumerate(frames)])
+        poses = np.stack(
+            [frame_pose(frame, f"{path}: frame {i}") for i, frame in enumerate(frames)]
+        )
         split = self.after_holding_out(self._split(content, names, path))
         header = check_headers([files[view] for view in (*split.train, *split.test)])
         if not 1 <= self.factor <= min(header.width, header.height):
@@ -52,7 +63,10 @@ class Transforms(SceneConfig):
                 f"scene.factor={self.factor}: must lie between 1 and the image size, {header.width} x {header.height}"
             )
         lenses = torch.tensor(
-            [_intrinsics({**content, **frame}, header, f"{path}: frame {i}") for i, frame in enumerate(frames)]
+            [
+                _intrinsics({**content, **frame}, header, f"{path}: frame {i}")
+                for i, frame in enumerate(frames)
+            ]
         )
         cameras = Cameras(
             header.width // self.factor,
@@ -87,7 +101,9 @@ class Transforms(SceneConfig):
             listed = [PurePosixPath(str(name)) for name in content.get(key) or ()]
             for name in listed:
                 if name not in index:
-                    raise NerfregError(f"{path}: '{key}' names {name}, which is the file_path of no frame")
+                    raise NerfregError(
+                        f"{path}: '{key}' names {name}, which is the file_path of no frame"
+                    )
             return tuple(index[name] for name in listed)
 
         train, test = views("train_filenames"), views("test_filenames") or views("val_filenames")
@@ -118,9 +134,13 @@ def _intrinsics(values: dict[str, Any], header: ImageHeader, where: str) -> list
             "are not a smaller version of"
         )
     fx = _focal(values, "x", width, where)
-    fy = _focal(values, "y", height, where) if "fl_y" in values or "camera_angle_y" in values else fx
+    fy = (
+        _focal(values, "y", height, where) if "fl_y" in values or "camera_angle_y" in values else fx
+    )
     if fx is None or fy is None:
-        raise NerfregError(f"{where}: 'fl_x' and 'camera_angle_x' are missing; one of them must be there")
+        raise NerfregError(
+            f"{where}: 'fl_x' and 'camera_angle_x' are missing; one of them must be there"
+        )
     cx = number(values, "cx", where) if "cx" in values else width / 2
     cy = number(values, "cy", where) if "cy" in values else height / 2
     distortion = [number(values, key, where) if key in values else 0.0 for key in DISTORTION]
@@ -135,7 +155,9 @@ def _focal(values: dict[str, Any], axis: str, size: float, where: str) -> float 
     else:
         return None
     if not (focal > 0 and math.isfinite(focal)):
-        raise NerfregError(f"{where}: the focal length along {axis} is {focal:g}, but must be positive")
+        raise NerfregError(
+            f"{where}: the focal length along {axis} is {focal:g}, but must be positive"
+        )
     return focal
 
 
@@ -145,7 +167,9 @@ def _check_invertible(cameras: Cameras, split: Split, path: Path) -> None:
     for view in (*split.train, *split.test):
         coefficients = cameras.distortion[view].expand(len(border), 5)
         points = (border - cameras.center[view]) / cameras.focal[view]
-        if not lens.invertible(points, coefficients, INVERSION_TOLERANCE / float(cameras.focal[view].max())):
+        if not lens.invertible(
+            points, coefficients, INVERSION_TOLERANCE / float(cameras.focal[view].max())
+        ):
             raise NerfregError(
                 f"{path}: frame {view}: the distortion {', '.join(DISTORTION)} = "
                 f"{', '.join(f'{c:g}' for c in cameras.distortion[view].tolist())} folds the image over itself"

@@ -43,7 +43,13 @@ def job_folder(*, _root_: DictConfig) -> str:
     study = study_name(_root_)
     overrides = overrides_name(OmegaConf.select(_root_, "hydra.overrides.task")) or "defaults"
     wanted = configuration(_root_)
-    saved = Path(str(OmegaConf.select(_root_, "hydra.sweep.dir"))) / study / overrides / ".hydra" / "config.yaml"
+    saved = (
+        Path(str(OmegaConf.select(_root_, "hydra.sweep.dir")))
+        / study
+        / overrides
+        / ".hydra"
+        / "config.yaml"
+    )
     if saved.is_file() and _saved_configuration(saved) != wanted:
         overrides = f"{overrides}_{digest(repr(wanted))}"
     return f"{study}/{overrides}"

@@ -96,9 +96,15 @@ class _Report:
     def tell(self, state: State, reason: str = "") -> None:
         results = _results(self.folder) if state in (State.DONE, State.SKIPPED) else {}
         scores = {name: results[name] for name in SCORES if name in results}
-        self.sweep.journal.write(Entry(self.number, self.title, state, str(self.folder), scores, reason))
+        self.sweep.journal.write(
+            Entry(self.number, self.title, state, str(self.folder), scores, reason)
+        )
         if reason:
-            self.say(f"{state}: {reason}" if state is State.FAILED else f"{self.title}: {state}, {reason}")
+            self.say(
+                f"{state}: {reason}"
+                if state is State.FAILED
+                else f"{self.title}: {state}, {reason}"
+            )
 
 
 def _objective(folder: Path) -> float | None:
@@ -122,4 +128,6 @@ def _fair_threads(plan: Plan) -> int:
 
     # Not torch's number: a job before this one in the same process has changed it.
     given = int(numba.config.NUMBA_NUM_THREADS)
-    return given if plan.at_once is None else max(1, min(given, (os.cpu_count() or 1) // plan.at_once))
+    return (
+        given if plan.at_once is None else max(1, min(given, (os.cpu_count() or 1) // plan.at_once))
+    )

@@ -51,7 +51,9 @@ class Journal:
 
     def read(self) -> list[Entry]:
         """The latest of each job, in the order of their numbers."""
-        records = [json.loads(path.read_text(encoding="utf-8")) for path in self.folder.glob("[0-9]*.json")]
+        records = [
+            json.loads(path.read_text(encoding="utf-8")) for path in self.folder.glob("[0-9]*.json")
+        ]
         entries = [Entry(**{**record, "state": State(record["state"])}) for record in records]
         return sorted(entries, key=lambda entry: entry.number)
 

@@ -52,8 +52,12 @@ def make_plan(hydra_config: DictConfig) -> Plan:
     Configurations are composed until one can be used; the others may still fail, each for itself.
     """
     hydra = hydra_config.hydra
-    words = [f"{key}={value}" for key, value in (OmegaConf.select(hydra, "sweeper.params") or {}).items()]
-    overrides = _last_of_each_key(OverridesParser.create().parse_overrides([*words, *hydra.overrides.task]))
+    words = [
+        f"{key}={value}" for key, value in (OmegaConf.select(hydra, "sweeper.params") or {}).items()
+    ]
+    overrides = _last_of_each_key(
+        OverridesParser.create().parse_overrides([*words, *hydra.overrides.task])
+    )
     for override in OverridesParser.create().parse_overrides([*hydra.overrides.hydra]):
         if override.key_or_group == "hydra.sweep.subdir":
             raise NerfregError(
@@ -61,12 +65,18 @@ def make_plan(hydra_config: DictConfig) -> Plan:
                 "again; choose hydra.sweep.dir=FOLDER or name=STUDY"
             )
     tuned = not str(hydra.sweeper._target_).endswith(".BasicSweeper")
-    jobs = hydra.sweeper.n_trials if "n_trials" in hydra.sweeper else math.prod(_count(word) for word in overrides)
+    jobs = (
+        hydra.sweeper.n_trials
+        if "n_trials" in hydra.sweeper
+        else math.prod(_count(word) for word in overrides)
+    )
     config = _first_usable(hydra_config, overrides)
     if tuned:
         _check_objective(hydra_config, config)
     batch = min(int(jobs), hydra.sweeper.n_jobs) if "n_jobs" in hydra.sweeper else int(jobs)
-    varied = tuple(override.get_key_element() for override in overrides if override.is_sweep_override())
+    varied = tuple(
+        override.get_key_element() for override in overrides if override.is_sweep_override()
+    )
     return Plan(int(jobs), varied, _at_once(hydra.launcher, batch), tuned)
 
 
@@ -84,7 +94,9 @@ def _choices(override: Override) -> Iterator[str]:
         assert override.input_line is not None
         yield override.input_line
     elif override.is_discrete_sweep():
-        yield from (f"{override.get_key_element()}={value}" for value in override.sweep_string_iterator())
+        yield from (
+            f"{override.get_key_element()}={value}" for value in override.sweep_string_iterator()
+        )
     else:
         interval = override.value()
         assert isinstance(interval, IntervalSweep)
@@ -113,7 +125,9 @@ def _first_usable(hydra_config: DictConfig, overrides: Sequence[Override]) -> Co
 def _check_objective(hydra_config: DictConfig, config: Config) -> None:
     choice = OmegaConf.select(hydra_config, "hydra.runtime.choices")["hydra/sweeper"]
     if config.scene.held_out is None:
-        raise NerfregError(f"hydra/sweeper={choice} would choose by test views; set e.g. scene.held_out=[0]")
+        raise NerfregError(
+            f"hydra/sweeper={choice} would choose by test views; set e.g. scene.held_out=[0]"
+        )
     direction = OmegaConf.select(hydra_config, "hydra.sweeper.direction", default="minimize")
     direction = getattr(direction, "name", direction)
     if direction != "minimize":
@@ -121,7 +135,9 @@ def _check_objective(hydra_config: DictConfig, config: Config) -> None:
             f"hydra.sweeper.direction={direction}: the objective is the error '{OBJECTIVE}'; minimize it"
         )
     if not config.eval.lpips:
-        raise NerfregError(f"eval.lpips=false: '{OBJECTIVE}', which hydra/sweeper={choice} minimizes, needs LPIPS")
+        raise NerfregError(
+            f"eval.lpips=false: '{OBJECTIVE}', which hydra/sweeper={choice} minimizes, needs LPIPS"
+        )
     if find_lpips_weights(config.eval.lpips_weights) is None:
         raise NerfregError(f"hydra/sweeper={choice} minimizes '{OBJECTIVE}': {HOW_TO_GET_WEIGHTS}")
 

@@ -38,7 +38,10 @@ def print_summary(entries: Sequence[Entry], jobs: int) -> None:
 def in_numbers(entries: Sequence[Entry], jobs: int) -> str:
     """`4 jobs: 2 done, 1 skipped, 1 failed`."""
     counts = Counter(entry.state for entry in entries)
-    parts = [f"{counts[state]} {WORDS.get(state, state)}" for state in (State.DONE, State.SKIPPED, State.FAILED)]
+    parts = [
+        f"{counts[state]} {WORDS.get(state, state)}"
+        for state in (State.DONE, State.SKIPPED, State.FAILED)
+    ]
     if counts[State.BEGUN]:
         parts.append(f"{counts[State.BEGUN]} {WORDS[State.BEGUN]}")
     if jobs > len(entries):

@@ -21,7 +21,9 @@ class Budget:
 
     def __init__(self, config: TrainConfig) -> None:
         if config.steps is None and config.seconds is None:
-            raise NerfregError("train.steps and train.seconds are both null: a run needs an end, set one of them")
+            raise NerfregError(
+                "train.steps and train.seconds are both null: a run needs an end, set one of them"
+            )
         for key in ("steps", "seconds", "rays"):
             value = getattr(config, key)
             if value is not None and value <= 0:

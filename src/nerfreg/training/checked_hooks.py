@@ -42,7 +42,9 @@ class CheckedHooks(Hooks):
                 union |= needs
         return union
 
-    def layer(self, network: str, index: int, in_features: int, out_features: int, activation: str) -> nn.Module:
+    def layer(
+        self, network: str, index: int, in_features: int, out_features: int, activation: str
+    ) -> nn.Module:
         layer = super().layer(network, index, in_features, out_features, activation)
         if makers := self._users["nerfreg_layer"]:
             wrong = [
@@ -74,7 +76,9 @@ class CheckedHooks(Hooks):
         # A plugin may give its attributes new values; only the tensors are shared with others.
         given = replace(samples)
         before = Untouched(given)
-        after: Samples = self._manager(active).hook.nerfreg_encoder_input(samples=samples, step=step)
+        after: Samples = self._manager(active).hook.nerfreg_encoder_input(
+            samples=samples, step=step
+        )
         wrong = [f"samples.{edit}" for edit in before.edits()] + wrong_samples(given, after)
         _refuse(active, "nerfreg_encoder_input", step, wrong)
         return after
@@ -87,7 +91,9 @@ class CheckedHooks(Hooks):
             before = Untouched(rendering)
             own = [
                 Term(name, term, float(self.plugins[name].weight), value)
-                for values in self._manager((name,)).hook.nerfreg_loss(rendering=rendering, step=step)
+                for values in self._manager((name,)).hook.nerfreg_loss(
+                    rendering=rendering, step=step
+                )
                 for term, value in values.items()
             ]
             wrong = [f"rendering.{edit}" for edit in before.edits()] + wrong_terms(own)

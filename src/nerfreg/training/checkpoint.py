@@ -34,7 +34,9 @@ def save_checkpoint(run: Path, field: RadianceField, state: State) -> None:
     """Write RUN/checkpoint; an older one is replaced file by file, each whole or not at all."""
     folder = run / FOLDER
     folder.mkdir(parents=True, exist_ok=True)
-    weights = {name: tensor.detach().cpu().contiguous() for name, tensor in field.state_dict().items()}
+    weights = {
+        name: tensor.detach().cpu().contiguous() for name, tensor in field.state_dict().items()
+    }
     save_file(weights, folder / f".{WEIGHTS}")
     (folder / f".{STATE}").write_text(json.dumps(asdict(state), indent=2) + "\n", encoding="utf-8")
     for name in (WEIGHTS, STATE):
@@ -48,6 +50,10 @@ def load_checkpoint(run: Path, field: RadianceField) -> State:
         field.load_state_dict(load_file(path))
         return State(**json.loads((run / FOLDER / STATE).read_text(encoding="utf-8")))
     except FileNotFoundError as error:
-        raise NerfregError(f"{error.filename or path}: missing; has the run been trained to its end?") from error
+        raise NerfregError(
+            f"{error.filename or path}: missing; has the run been trained to its end?"
+        ) from error
     except (SafetensorError, RuntimeError, ValueError, TypeError) as error:
-        raise NerfregError(f"{path}: does not fit the run's configuration: {str(error).splitlines()[0]}") from error
+        raise NerfregError(
+            f"{path}: does not fit the run's configuration: {str(error).splitlines()[0]}"
+        ) from error

@@ -55,16 +55,22 @@ def wrong_samples(before: Samples, after: object) -> list[str]:
     """What `nerfreg_encoder_input` made of `before` has its shapes, is finite, and asks for features that exist."""
     if not isinstance(after, Samples):
         return [f"returned {_kind(after)}, not Samples"]
-    wrong = _unlike("positions", after.positions, before.positions) + _unlike("t", after.t, before.t)
+    wrong = _unlike("positions", after.positions, before.positions) + _unlike(
+        "t", after.t, before.t
+    )
     # Directions may come as (R, 3), and go on as (R, N, 3).
     per_sample = isinstance(after.directions, Tensor) and after.directions.ndim == 3
-    wrong += _unlike("directions", after.directions, before.positions if per_sample else before.directions)
+    wrong += _unlike(
+        "directions", after.directions, before.positions if per_sample else before.directions
+    )
     for side in ("density", "color"):
         width, active = getattr(before, f"{side}_width"), getattr(after, f"{side}_features")
         if active is not None and not 0 <= active <= width:
             wrong.append(f"{side}_features={active!r}: must be None, or between 0 and {width}")
         if getattr(after, f"{side}_width") != width:
-            wrong.append(f"{side}_width={getattr(after, f'{side}_width')!r}: is the core's, {width}; leave it")
+            wrong.append(
+                f"{side}_width={getattr(after, f'{side}_width')!r}: is the core's, {width}; leave it"
+            )
     return wrong
 
 
@@ -75,7 +81,9 @@ def wrong_terms(terms: Sequence[Term]) -> list[str]:
         if not isinstance(term.value, Tensor):
             wrong.append(f"term '{term.name}' is {_kind(term.value)}, not a tensor")
         elif term.value.ndim != 0:
-            wrong.append(f"term '{term.name}' has shape {tuple(term.value.shape)}, not that of a scalar")
+            wrong.append(
+                f"term '{term.name}' has shape {tuple(term.value.shape)}, not that of a scalar"
+            )
         else:
             wrong += not_finite(f"term '{term.name}'", term.value)
     return wrong
@@ -88,7 +96,9 @@ def wrong_layer(layer: object, in_features: int, out_features: int) -> list[str]
     """
     if not isinstance(layer, nn.Module):
         return [f"returned {_kind(layer)}, not a torch module"]
-    wrong = [line for name, parameter in layer.named_parameters() for line in not_finite(name, parameter)]
+    wrong = [
+        line for name, parameter in layer.named_parameters() for line in not_finite(name, parameter)
+    ]
     probe = torch.stack([torch.zeros(in_features), torch.ones(in_features)])
     try:
         # A layer that draws numbers must not change those that the next layer starts with.
@@ -96,12 +106,17 @@ def wrong_layer(layer: object, in_features: int, out_features: int) -> list[str]
             output = layer(probe)
             affine = layer.effective() if isinstance(layer, AffineLayer) else None
     except Exception as error:  # a stranger's module may raise anything
-        return [*wrong, f"fails on (points, {in_features}): {type(error).__name__}: {error}".partition("\n")[0]]
+        return [
+            *wrong,
+            f"fails on (points, {in_features}): {type(error).__name__}: {error}".partition("\n")[0],
+        ]
     wrong += _unlike("output", output, probe.new_empty(2, out_features))
     if affine is not None:
         weight, bias = affine
         wrong += _unlike("effective weight", weight, probe.new_empty(out_features, in_features))
-        wrong += [] if bias is None else _unlike("effective bias", bias, probe.new_empty(out_features))
+        wrong += (
+            [] if bias is None else _unlike("effective bias", bias, probe.new_empty(out_features))
+        )
     return wrong
 
 

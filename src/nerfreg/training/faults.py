@@ -64,13 +64,17 @@ def usable(total: Tensor, parameters: Iterable[nn.Parameter]) -> bool:
     One pass over each gradient: a finite sum of squares has nothing but finite squares in it. Only where it is not
     finite, which may be the sum alone, is every element looked at.
     """
-    return bool(total.isfinite()) and all(_squares_finite(p.grad) for p in parameters if p.grad is not None)
+    return bool(total.isfinite()) and all(
+        _squares_finite(p.grad) for p in parameters if p.grad is not None
+    )
 
 
 def value_faults(terms: Sequence[Term]) -> list[Fault]:
     """The terms whose value is not finite."""
     values = [(label(term), float(term.value.detach())) for term in terms]
-    return [Fault(f"value of {name}", str(value)) for name, value in values if not math.isfinite(value)]
+    return [
+        Fault(f"value of {name}", str(value)) for name, value in values if not math.isfinite(value)
+    ]
 
 
 def rendering_faults(rendering: Rendering) -> list[Fault]:
@@ -90,7 +94,9 @@ def gradient_faults(terms: Sequence[Term], field: nn.Module) -> Iterator[Fault]:
     for term in terms:
         if not (term.value.requires_grad and term.value.isfinite()):
             continue
-        gradients = torch.autograd.grad(term.weight * term.value, parameters, retain_graph=True, allow_unused=True)
+        gradients = torch.autograd.grad(
+            term.weight * term.value, parameters, retain_graph=True, allow_unused=True
+        )
         for name, gradient in zip(names, gradients, strict=True):
             if gradient is not None and not _squares_finite(gradient):
                 yield Fault(f"gradient of {label(term)}", _extreme(name, gradient))
@@ -106,7 +112,9 @@ def faults_of(rendering: Rendering, terms: Sequence[Term], field: nn.Module) -> 
     return faults
 
 
-def find_faults(batch: Batch, terms: Sequence[Term], renderer: Renderer, hooks: Hooks) -> list[Fault]:
+def find_faults(
+    batch: Batch, terms: Sequence[Term], renderer: Renderer, hooks: Hooks
+) -> list[Fault]:
     """What is not finite in a batch whose terms have been `terms`.
 
     Renders the batch again; plugins see it a second time.
@@ -122,4 +130,8 @@ def _squares_finite(gradient: Tensor) -> bool:
 
 def _extreme(name: str, gradient: Tensor) -> str:
     lines = not_finite(name, gradient)
-    return lines[0] if lines else f"{name}: up to {float(gradient.abs().max()):.3g}, whose square is not finite"
+    return (
+        lines[0]
+        if lines
+        else f"{name}: up to {float(gradient.abs().max()):.3g}, whose square is not finite"
+    )

@@ -24,7 +24,9 @@ LIMIT = 3
 class Recorder(Protocol):
     """Keeps a step for later."""
 
-    def save(self, batch: Batch, field: RadianceField, box: Float[Tensor, "2 3"], faults: Sequence[Fault]) -> Path: ...
+    def save(
+        self, batch: Batch, field: RadianceField, box: Float[Tensor, "2 3"], faults: Sequence[Fault]
+    ) -> Path: ...
 
 
 def to_stderr(line: str) -> None:
@@ -37,7 +39,9 @@ class Guard:
     skipped: how many there were. recorder: keeps them; None: nobody does. report: takes a line about each.
     """
 
-    def __init__(self, recorder: Recorder | None = None, report: Callable[[str], None] = to_stderr) -> None:
+    def __init__(
+        self, recorder: Recorder | None = None, report: Callable[[str], None] = to_stderr
+    ) -> None:
         self.skipped = 0
         self._in_a_row = 0
         self._recorder = recorder
@@ -48,7 +52,12 @@ class Guard:
         self._in_a_row = 0
 
     def refused(
-        self, batch: Batch, terms: Sequence[Term], renderer: Renderer, hooks: Hooks, box: Float[Tensor, "2 3"]
+        self,
+        batch: Batch,
+        terms: Sequence[Term],
+        renderer: Renderer,
+        hooks: Hooks,
+        box: Float[Tensor, "2 3"],
     ) -> None:
         """A step with these terms was left out, for want of a finite loss or gradient.
 

@@ -31,7 +31,10 @@ class Progress:
     """
 
     def __init__(
-        self, quiet: bool = False, console: Console | None = None, clock: Callable[[], float] = time.perf_counter
+        self,
+        quiet: bool = False,
+        console: Console | None = None,
+        clock: Callable[[], float] = time.perf_counter,
     ) -> None:
         self._console = console or Console(stderr=True)
         self._clock = clock
@@ -44,14 +47,19 @@ class Progress:
 
     def __enter__(self) -> Progress:
         self._started = self._rate_since = self._clock()
-        self._due = self._started + (REFRESH_SECONDS if self._console.is_terminal else FIRST_LINE_SECONDS)
+        self._due = self._started + (
+            REFRESH_SECONDS if self._console.is_terminal else FIRST_LINE_SECONDS
+        )
         if self._console.is_terminal and not self._quiet:
             self._live = Live(console=self._console, auto_refresh=False)
             self._live.start()
         return self
 
     def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
     ) -> None:
         if self._latest is not None and self._shown_step != self._latest[0] and not self._quiet:
             self._show(self._clock())
@@ -59,7 +67,13 @@ class Progress:
             self._live.stop()
             self._live = None
 
-    def update(self, step: int, fraction: float, terms: Mapping[str, SupportsFloat], psnr: float | None = None) -> None:
+    def update(
+        self,
+        step: int,
+        fraction: float,
+        terms: Mapping[str, SupportsFloat],
+        psnr: float | None = None,
+    ) -> None:
         """Tell what has been done: steps, the share of the budget, the latest loss terms and PSNR. Call every step."""
         if self._quiet:
             return
@@ -83,7 +97,11 @@ class Progress:
         self._shown_step = step
         self._measure_rate(step, now)
         elapsed = now - self._started
-        parts = [f"step {step}", f"{self._rate:.1f} it/s", f"{_duration(_time_left(elapsed, fraction))} left"]
+        parts = [
+            f"step {step}",
+            f"{self._rate:.1f} it/s",
+            f"{_duration(_time_left(elapsed, fraction))} left",
+        ]
         if psnr is not None:
             parts.append(f"PSNR {psnr:.2f}")
         parts += [f"{name} {float(value):.3g}" for name, value in terms.items()]
@@ -92,13 +110,17 @@ class Progress:
             self._due = now + REFRESH_SECONDS
         else:
             self.message(f"{fraction:4.0%}  " + "  ".join(parts))
-            self._due = now + min((LINE_GROWTH - 1) * max(elapsed, FIRST_LINE_SECONDS), LONGEST_SILENCE_SECONDS)
+            self._due = now + min(
+                (LINE_GROWTH - 1) * max(elapsed, FIRST_LINE_SECONDS), LONGEST_SILENCE_SECONDS
+            )
 
     def _measure_rate(self, step: int, now: float) -> None:
         """Steps per second since the last showing, smoothed on a terminal, where showings are close together."""
         if now > self._rate_since and step > self._rate_step:
             rate = (step - self._rate_step) / (now - self._rate_since)
-            self._rate = 0.8 * self._rate + 0.2 * rate if self._live is not None and self._rate else rate
+            self._rate = (
+                0.8 * self._rate + 0.2 * rate if self._live is not None and self._rate else rate
+            )
             self._rate_since, self._rate_step = now, step
 
 
@@ -116,5 +138,9 @@ def _duration(seconds: float | None) -> str:
 
 def _bar(fraction: float, text: str) -> Table:
     table = Table.grid(padding=(0, 1))
-    table.add_row(ProgressBar(total=1.0, completed=min(fraction, 1.0), width=24), f"{fraction:4.0%}", Text(text))
+    table.add_row(
+        ProgressBar(total=1.0, completed=min(fraction, 1.0), width=24),
+        f"{fraction:4.0%}",
+        Text(text),
+    )
     return table

@@ -48,7 +48,11 @@ class Trainer:
         self.renderer = Renderer(self.field, sampler, hooks)
         self.batches = RayBatches(scene, train.rays, device, self.generator)
         self.optimizer = torch.optim.Adam(
-            self.field.parameters(), lr=optim.lr, betas=(optim.beta1, optim.beta2), eps=optim.eps, fused=True
+            self.field.parameters(),
+            lr=optim.lr,
+            betas=(optim.beta1, optim.beta2),
+            eps=optim.eps,
+            fused=True,
         )
         self.average = MovingAverage(self.field, optim.ema)
         self.budget = Budget(train)

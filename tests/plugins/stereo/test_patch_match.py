@@ -76,14 +76,20 @@ def by_definition(own, other, y, x, w, p, q, reach, step):
                 mine.append(color)
                 here = w * (1 + (p * i + q * j) / FOCAL)
                 theirs.append(seen(other, x + i + 0.5 - FOCAL * here, y + j + 0.5))
-    weights, mine, theirs = np.array(weights)[:, None] / sum(weights), np.array(mine), np.array(theirs)
+    weights, mine, theirs = (
+        np.array(weights)[:, None] / sum(weights),
+        np.array(mine),
+        np.array(theirs),
+    )
     mine, theirs = mine - (weights * mine).sum(0), theirs - (weights * theirs).sum(0)
     variances = ((weights * mine**2).sum() + FAINT) * ((weights * theirs**2).sum() + FAINT)
     return 1 - (weights * mine * theirs).sum() / math.sqrt(variances)
 
 
 @pytest.mark.parametrize("channels", [3, 4])
-@pytest.mark.parametrize("y, x, w, p, q", [(9, 12, 0.1, 0, 0), (9, 12, 0.123, 1.5, -0.7), (0, 23, 0.05, -1, 2)])
+@pytest.mark.parametrize(
+    "y, x, w, p, q", [(9, 12, 0.1, 0, 0), (9, 12, 0.123, 1.5, -0.7), (0, 23, 0.05, -1, 2)]
+)
 @pytest.mark.parametrize("reach, step", [(0, 2), (1, 1), (2, 2)])
 def test_cost_against_the_definition(channels, y, x, w, p, q, reach, step):
     own, other = noise(0, channels), noise(1, channels)
@@ -96,7 +102,10 @@ def test_cost_against_the_definition(channels, y, x, w, p, q, reach, step):
 def test_the_two_best_sources_count():
     own = noise()
     same, negative, other = own, 1 - own, noise(1)
-    alone = [float(cost(comparison(own, [source], (0.0,)), 9, 12, 0.1)) for source in (same, negative, other)]
+    alone = [
+        float(cost(comparison(own, [source], (0.0,)), 9, 12, 0.1))
+        for source in (same, negative, other)
+    ]
     assert alone[0] == pytest.approx(0, abs=0.1) and alone[1] == pytest.approx(2, abs=0.1)  # FAINT
     together = cost(comparison(own, [negative, same, other], (0.0, 0.0, 0.0)), 9, 12, 0.1)
     assert together == pytest.approx((alone[0] + alone[2]) / 2)
@@ -145,7 +154,10 @@ def slanted(slope):
 
 def found(own, other, seed=0, **more):
     views = comparison(own, [other], reach=2)
-    planes, costs = np.zeros((HEIGHT, WIDTH, 3), np.float32), np.full((HEIGHT, WIDTH), NO_MATCH, np.float32)
+    planes, costs = (
+        np.zeros((HEIGHT, WIDTH, 3), np.float32),
+        np.full((HEIGHT, WIDTH), NO_MATCH, np.float32),
+    )
     there = more.pop("there", np.ones((HEIGHT, WIDTH), bool))
     arguments = {"guesses": 6, "sweeps": 4, "changes": 3} | more
     patch_match(views, there, NEAREST, FARTHEST, *arguments.values(), seed, planes, costs)

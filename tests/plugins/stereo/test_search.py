@@ -65,7 +65,9 @@ def correctness(photos, depth, **options):
     known = agreed_depth(photos, **options)[1]
     found = known.isfinite().all(-1)
     truth = distances(photos, depth)[1]
-    return found.float().mean(), ((known[..., 0] <= truth) & (truth <= known[..., 1]))[found].float().mean()
+    return found.float().mean(), ((known[..., 0] <= truth) & (truth <= known[..., 1]))[
+        found
+    ].float().mean()
 
 
 def test_a_wall():
@@ -133,12 +135,16 @@ def test_more_tolerance_believes_more_and_less_exactly():
     photos = photographs(wall(5.0))
     strict, loose = (agreed_depth(photos, tolerance=tolerance) for tolerance in (0.2, 2.0))
     assert strict.isfinite().sum() < loose.isfinite().sum()
-    assert (strict[..., 1] - strict[..., 0]).nanmedian() < 0.2 * (loose[..., 1] - loose[..., 0]).nanmedian()
+    assert (strict[..., 1] - strict[..., 0]).nanmedian() < 0.2 * (
+        loose[..., 1] - loose[..., 0]
+    ).nanmedian()
 
 
 def test_a_lens_that_bends():
     photos = photographs(wall(5.0))
-    bent = dataclasses.replace(photos.cameras, distortion=torch.tensor([-0.3, 0.05, 0.01, 0.0, 0.0]).expand(3, 5))
+    bent = dataclasses.replace(
+        photos.cameras, distortion=torch.tensor([-0.3, 0.05, 0.01, 0.0, 0.0]).expand(3, 5)
+    )
     images = []
     for view in range(3):
         origins, directions = bent.image_rays(view)
@@ -149,14 +155,19 @@ def test_a_lens_that_bends():
     assert found > 0.8 and right > 0.97
     # Without its distortion the same photographs are of something else.
     wrong = dataclasses.replace(bent_photos, cameras=photos.cameras)
-    assert correctness(wrong, 5.0, tolerance=0.3)[1] < correctness(bent_photos, 5.0, tolerance=0.3)[1] - 0.1
+    assert (
+        correctness(wrong, 5.0, tolerance=0.3)[1]
+        < correctness(bent_photos, 5.0, tolerance=0.3)[1] - 0.1
+    )
 
 
 def test_units_do_not_matter():
     photos = photographs(wall(5.0))
     poses = photos.cameras.poses.clone()
     poses[:, :, 3] *= 1024
-    cameras = Cameras(WIDTH, HEIGHT, poses, photos.cameras.focal, photos.cameras.center, photos.cameras.distortion)
+    cameras = Cameras(
+        WIDTH, HEIGHT, poses, photos.cameras.focal, photos.cameras.center, photos.cameras.distortion
+    )
     larger = agreed_depth(Photographs(cameras, photos.images, NEAR * 1024, FAR * 1024, "forward"))
     torch.testing.assert_close(larger, agreed_depth(photos) * 1024, equal_nan=True)
 
@@ -170,7 +181,9 @@ def test_photographs_of_different_things_agree_on_little():
 
 def test_without_texture_nothing_is_nearer_or_farther_than_the_scene():
     photos = photographs(wall(5.0))
-    known = agreed_depth(Photographs(photos.cameras, torch.full_like(photos.images, 0.5), NEAR, FAR, "forward"))
+    known = agreed_depth(
+        Photographs(photos.cameras, torch.full_like(photos.images, 0.5), NEAR, FAR, "forward")
+    )
     along = known.nan_to_num(5.0)
     assert (along > 0).all() and (along <= FAR * 1.5).all()
 
@@ -179,7 +192,9 @@ def test_nothing_is_known_where_there_is_no_object():
     photos = photographs(wall(5.0))
     alpha = torch.ones(3, HEIGHT, WIDTH, 1)
     alpha[:, :, : WIDTH // 2] = 0.2
-    known = agreed_depth(Photographs(photos.cameras, torch.cat([photos.images, alpha], -1), NEAR, FAR, "orbit"))
+    known = agreed_depth(
+        Photographs(photos.cameras, torch.cat([photos.images, alpha], -1), NEAR, FAR, "orbit")
+    )
     assert known[:, :, : WIDTH // 2].isnan().all()
     assert known[:, :, WIDTH // 2 + 4 :].isfinite().float().mean() > 0.5
 

@@ -58,7 +58,9 @@ def test_nearly_all_weight_there_keeps_its_digits(dtype):
     # A haze of 1e-9 before the wall, 4 times half the extent away, and exp(-25) behind it; together far below what
     # 1 - m could tell in float32.
     tau = torch.tensor([[1e-9, 25.0]], dtype=dtype)
-    value = loss(tau, torch.tensor([[0.0, 1.0, 2.0]], dtype=dtype), torch.tensor([[1.2, 1.3]]), doubt=0.1)
+    value = loss(
+        tau, torch.tensor([[0.0, 1.0, 2.0]], dtype=dtype), torch.tensor([[1.2, 1.3]]), doubt=0.1
+    )
     assert value.item() == pytest.approx((1e-9 * 16 / 17 + math.exp(-25)) / 1.1, rel=1e-6)
 
 
@@ -97,14 +99,20 @@ def test_only_rays_with_a_photograph_count(rendering):
     made = rendering(torch.full((4, 2), 0.5), targets=torch.zeros(3, 3))
     assert plugin.nerfreg_loss(made) == {}
     # Edges 2, 4, 6; a weight of 1 - exp(-0.5) in the first interval. The fourth ray has no target.
-    made = replace(made, rays=replace(made.rays, known_depth=torch.tensor([[2.5, 3.0], NOTHING, NOTHING])))
+    made = replace(
+        made, rays=replace(made.rays, known_depth=torch.tensor([[2.5, 3.0], NOTHING, NOTHING]))
+    )
     # The second is from 3.0 on 1 away, 4 times half the extent.
     first = 1 - math.exp(-0.5)
     there = first + math.exp(-0.5) * first / 17
-    assert plugin.nerfreg_loss(made)["stereo"].item() == pytest.approx(math.log(1.1 / (there + 0.1)) / 3)
+    assert plugin.nerfreg_loss(made)["stereo"].item() == pytest.approx(
+        math.log(1.1 / (there + 0.1)) / 3
+    )
 
 
-@pytest.mark.parametrize("wrong", [{"doubt": 0.0}, {"width": 0}, {"window": 4}, {"sources": 0}, {"tolerance": 0.0}])
+@pytest.mark.parametrize(
+    "wrong", [{"doubt": 0.0}, {"width": 0}, {"window": 4}, {"sources": 0}, {"tolerance": 0.0}]
+)
 def test_searches_that_cannot_be(wrong):
     [(key, value)] = wrong.items()
     with pytest.raises(NerfregError, match=rf"reg.stereo.{key}={value}: must be"):
