@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Iterable
+from difflib import get_close_matches
 from typing import ClassVar
 
 
@@ -42,3 +43,12 @@ def require_choice(room: str, config: object, key: str, choices: Collection[str]
     value = getattr(config, key)
     if value not in choices:
         raise NerfregError(f"{room}.{key}={value}: choose one of {', '.join(choices)}")
+
+
+def nearest(word: str, known: Iterable[str]) -> str:
+    """The end of an error message about an unknown `word`: the nearest known one, or all of them."""
+    names = sorted(known)
+    close = get_close_matches(word, names, n=1, cutoff=0.5)
+    if close:
+        return f"did you mean '{close[0]}'?"
+    return f"known: {', '.join(names)}" if names else "there is none"

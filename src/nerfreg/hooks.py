@@ -19,18 +19,15 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar
 
 import pluggy
 import torch
 from jaxtyping import Bool, Float, Int
-from torch import Tensor
+from torch import Tensor, nn
 
 from nerfreg.numerics import MIN_OPACITY, log_alpha
 from nerfreg.scenes.scene import Photographs
-
-if TYPE_CHECKING:
-    from torch import nn
 
 PROJECT = "nerfreg"
 hookspec = pluggy.HookspecMarker(PROJECT)

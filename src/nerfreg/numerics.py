@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
+import mpmath
 import torch
 from jaxtyping import Float
 from torch import Tensor
@@ -59,9 +60,23 @@ def one_minus_sum(x: Float[Tensor, "rays samples"]) -> Float[Tensor, " rays"]:
 
 def exact(values: Float[Tensor, "*any"]) -> Any:
     """The numbers of a tensor as (nested lists of) mpmath numbers, for `nerfreg_reference`."""
-    import mpmath
 
     def convert(value: Any) -> Any:
         return [convert(item) for item in value] if isinstance(value, list) else mpmath.mpf(value)
 
     return convert(values.detach().double().tolist())
+
+
+def not_finite(name: str, values: Tensor) -> list[str]:
+    """One line with how many of the values, of any shape, are not finite, and the first of them; none if all are."""
+    values = values.detach()
+    bad = (~values.isfinite()).nonzero()
+    if len(bad) == 0:
+        return []
+    place = tuple(int(index) for index in bad[0])
+    first = float(values[place])
+    if not place:
+        return [f"{name} is {first}"]
+    return [
+        f"{name}: {len(bad)} of {values.numel()} values not finite, the first at {list(place)}: {first}"
+    ]

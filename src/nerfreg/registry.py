@@ -15,11 +15,14 @@ from importlib.metadata import EntryPoint, PackageNotFoundError, distribution, e
 from pathlib import Path
 from typing import Any
 
+import mpmath
 import pluggy
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from nerfreg.errors import NerfregError
+from nerfreg import __version__
+from nerfreg.errors import NerfregError, nearest
+from nerfreg.field.layers import Linear
 from nerfreg.hooks import (
     PROJECT,
     HookSpecs,
@@ -31,7 +34,6 @@ from nerfreg.hooks import (
     Step,
     hookimpl,
 )
-from nerfreg.nearest import nearest
 from nerfreg.scenes.scene import Photographs
 
 GROUP = "nerfreg.plugins"
@@ -111,8 +113,6 @@ def _checkout_entry_points(pyproject: Path) -> list[EntryPoint]:
 
 def _source(point: EntryPoint) -> tuple[str, str]:
     if point.dist is None:
-        from nerfreg import __version__
-
         return PROJECT, __version__
     return point.dist.name, point.dist.version
 
@@ -151,9 +151,6 @@ class CoreDefaults:
 
     @hookimpl(trylast=True)
     def nerfreg_layer(self, in_features: int, out_features: int, activation: str) -> nn.Module:
-        # The field is built through this registry, hence not imported at the top.
-        from nerfreg.field.layers import Linear
-
         return Linear(in_features, out_features, activation)
 
     @hookimpl(trylast=True)
@@ -279,8 +276,6 @@ class Hooks:
         self, name: str, given: nn.Module | Rays | Samples | Rendering, step: Step
     ) -> dict[str, Any]:
         """The exact values that plugin `name` ships for what it makes of `given`; empty if it ships none."""
-        import mpmath
-
         with mpmath.workdps(REFERENCE_DIGITS):
             answers = self._manager((name,)).hook.nerfreg_reference(given=given, step=step)
         return {key: value for answer in answers for key, value in answer.items()}

@@ -10,7 +10,7 @@ from nerfreg.bench.configured import TINY
 from nerfreg.bench.render import after_the_first, measure
 from nerfreg.cli import main
 from nerfreg.rendering.views import ViewRenderer
-from nerfreg.runs.train import load_run
+from nerfreg.runs.load import load_run
 
 KEYS = {
     "run", "scene", "reg", "seconds_per_view", "seconds_p10", "seconds_p90", "views", "width", "height",

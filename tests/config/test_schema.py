@@ -9,9 +9,11 @@ from hydra.errors import ConfigCompositionException
 from omegaconf import DictConfig, OmegaConf
 
 from nerfreg import NerfregError
+from nerfreg.config.compose import compose as compose_in_program
 from nerfreg.config.naming import run_name, slug
 from nerfreg.config.saved import read_run
-from nerfreg.config.schema import options, own_folder, register, user_folders
+from nerfreg.config.schema import register
+from nerfreg.config.search_path import options, own_folder, user_folders
 from nerfreg.field import FieldConfig
 from nerfreg.scenes import Procedural
 
@@ -136,7 +138,6 @@ def test_start_is_a_step_or_a_fraction(compose) -> None:
         (["+train.stepz=1"], "unknown key 'train.stepz'; did you mean 'steps'"),
         (["+reg=kl", "+reg.kl.wieght=1"], "unknown key 'reg.kl.wieght'; did you mean 'weight'"),
         (["+reg.kl.weight=1"], r"reg.kl: not a selected plugin; select it by \+reg=kl"),
-        (["train=5"], "train=5: is a group of keys"),
         (["+reg=kl", "reg.kl.weight=-1"], "reg.kl.weight=-1.0: must be finite and not negative"),
     ],
 )
@@ -145,6 +146,11 @@ def test_bad_values_are_refused_before_anything_is_read(
 ) -> None:
     with pytest.raises(NerfregError, match=message):
         compose(*overrides)
+
+
+def test_a_value_for_a_group_of_keys_is_refused() -> None:
+    with pytest.raises(NerfregError, match="train=5: is a group of keys"):
+        compose_in_program(["train=5"])
 
 
 def test_typed_values(compose) -> None:

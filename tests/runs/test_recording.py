@@ -16,7 +16,7 @@ from nerfreg.config.schema import Config
 from nerfreg.errors import NerfregError
 from nerfreg.registry import Hooks
 from nerfreg.rendering.renderer import Renderer
-from nerfreg.runs.recording import Recorder, load_recording
+from nerfreg.runs.recording import StepRecorder, load_recording
 from nerfreg.runs.replay import replay
 from nerfreg.training.guard import Guard
 from nerfreg.training.trainer import Trainer
@@ -33,7 +33,7 @@ def saved(
     words = (PLUGINS, "reg.faulty.steps=[2]", "reg.faulty.way=gradient", "seed=5")
     config = compose("scene.size=24", "sampler.coarse=16", "sampler.fine=16", "field.levels=4", "field.finest=64",
                      "field.log2_entries=12", *words)  # fmt: skip
-    trainer = make(*words, guard=Guard(Recorder(tmp_path, config), lambda line: None))
+    trainer = make(*words, guard=Guard(StepRecorder(tmp_path, config), lambda line: None))
     terms = [trainer.step() for _ in range(3)][-1]
     return trainer, terms, tmp_path / "nonfinite" / "step_000002.safetensors"
 

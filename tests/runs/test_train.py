@@ -53,7 +53,7 @@ def test_a_run_leaves_what_the_design_lists(run: Path, capsys: pytest.CaptureFix
 
 def test_one_thread_means_one_in_a_new_process() -> None:
     """Whatever numba does to the number that torch has when it starts its own threads."""
-    script = "import numba, torch; from nerfreg.config.schema import Config; from nerfreg.runs.train import prepare;"
+    script = "import numba, torch; from nerfreg.config.schema import Config; from nerfreg.runs.load import prepare;"
     script += "c = Config(); c.device = 'cpu'; c.train.threads = 1; prepare(c); print(torch.get_num_threads(), numba.get_num_threads())"
     made = subprocess.run(
         [sys.executable, "-c", script], capture_output=True, text=True, check=True

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import json
 from collections.abc import Sequence
 from dataclasses import astuple, dataclass, fields
 from pathlib import Path
@@ -12,7 +10,7 @@ from typing import Any
 from rich import box
 from rich.table import Table
 
-from nerfreg.files import atomic
+from nerfreg.files import write_csv, write_json
 
 
 @dataclass(frozen=True)
@@ -25,17 +23,13 @@ class Outcome:
 
 def write_record(path: Path, record: dict[str, Any]) -> Outcome:
     """One JSON object in a file of its own. Raises NerfregError where it cannot be written."""
-    with atomic(path) as part:
-        part.write_text(json.dumps(record, indent=2) + "\n", encoding="utf-8")
+    write_json(path, record)
     return Outcome([path], record)
 
 
-def write_csv(path: Path, points: Sequence[Any]) -> Path:
+def write_points(path: Path, points: Sequence[Any]) -> Path:
     """One line for each point, a dataclass; its fields are the columns. Raises NerfregError where it cannot."""
-    with atomic(path) as part, part.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow([field.name for field in fields(points[0])])
-        writer.writerows(map(_row, points))
+    write_csv(path, [field.name for field in fields(points[0])], map(_row, points))
     return path
 
 

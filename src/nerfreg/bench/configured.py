@@ -5,14 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-import hydra
-from hydra import initialize_config_dir
-
-from nerfreg.config.explain import COMPOSITION_ERRORS, check_overrides, explain
-from nerfreg.config.schema import Config, own_folder, register, validated
+from nerfreg.config.compose import compose as compose_config
+from nerfreg.config.compose import require_steps
+from nerfreg.config.schema import Config
 from nerfreg.errors import NerfregError
 from nerfreg.registry import Hooks, Term
-from nerfreg.runs.train import prepare
+from nerfreg.runs.load import prepare
 from nerfreg.scenes.scene import Scene
 from nerfreg.training.trainer import Trainer
 
@@ -23,21 +21,13 @@ TINY = (
 
 
 def compose(overrides: Sequence[str]) -> Config:
-    """The configuration that `nerfreg train` would run; no run folder is made.
+    """Return the configuration that `nerfreg train` would run, if a bench can measure it.
 
-    Raises NerfregError in one line for whatever cannot be composed, and for what a bench cannot measure.
+    Raises:
+        NerfregError: The overrides cannot be composed, or leave the number of steps open.
     """
-    check_overrides(overrides)
-    plugins = register()
-    try:
-        with initialize_config_dir(str(own_folder()), version_base="1.3"):
-            config = validated(hydra.compose("config", overrides=[*overrides]))
-    except COMPOSITION_ERRORS as error:
-        raise NerfregError(explain(error, plugins, overrides)) from error
-    if config.train.steps is None:
-        raise NerfregError(
-            "train.steps=null: set it; seconds alone do not say which step stands where in the budget"
-        )
+    config = compose_config(overrides)
+    require_steps(config)
     return config
 
 

@@ -15,7 +15,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from nerfreg.analysis.tables import Outcome, write_csv
+from nerfreg.analysis.tables import Outcome, write_points
 from nerfreg.bench.inputs import INPUTS, Input
 from nerfreg.bench.rivals import RIVALS
 from nerfreg.bench.timing import median_seconds
@@ -82,7 +82,7 @@ def run(folder: Path, sizes: Sizes) -> Outcome:
         )
     print_table(points, left_out, sizes)
     return Outcome(
-        [write_csv(folder / "losses.csv", points), *draw(points, sizes, folder / "losses")]
+        [write_points(folder / "losses.csv", points), *draw(points, sizes, folder / "losses")]
     )
 
 

@@ -18,14 +18,13 @@ import torch
 from rich.console import Console
 from torch import Tensor, nn
 
-from nerfreg.analysis.tables import Outcome, write_csv
+from nerfreg.analysis.tables import Outcome, write_points
 from nerfreg.bench.configured import TINY, compose, make_trainer, prepare_cpu, step_at
 from nerfreg.bench.timing import in_turns, spread
-from nerfreg.config.schema import options
-from nerfreg.errors import NerfregError
+from nerfreg.config.search_path import options
+from nerfreg.errors import NerfregError, nearest
 from nerfreg.field.layers import Linear
 from nerfreg.hooks import Needs, Rays, Rendering, Samples, Step
-from nerfreg.nearest import nearest
 from nerfreg.registry import Hooks, Term, installed
 from nerfreg.scenes import load_scene
 from nerfreg.scenes.scene import Scene
@@ -138,7 +137,7 @@ def run(folder: Path, sizes: Sizes, overrides: tuple[str, ...]) -> Outcome:
     summary = summarize(points)
     print_table(summary, config, scene.name, sizes)
     return Outcome(
-        [write_csv(folder / "overhead.csv", points), *draw(summary, folder / "overhead")]
+        [write_points(folder / "overhead.csv", points), *draw(summary, folder / "overhead")]
     )
 
 

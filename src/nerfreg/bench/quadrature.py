@@ -15,7 +15,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from nerfreg.analysis.tables import Outcome, write_csv
+from nerfreg.analysis.tables import Outcome, write_points
 from nerfreg.bench.media import MEDIA, Medium, color, exact
 from nerfreg.bench.samplers import SAMPLERS, Bundle, Sampled
 from nerfreg.bench.timing import median_seconds
@@ -78,7 +78,10 @@ def run(folder: Path, sizes: Sizes) -> Outcome:
     ]
     print_table(points, sizes)
     return Outcome(
-        [write_csv(folder / "quadrature.csv", points), *draw(points, sizes, folder / "quadrature")]
+        [
+            write_points(folder / "quadrature.csv", points),
+            *draw(points, sizes, folder / "quadrature"),
+        ]
     )
 
 

@@ -17,7 +17,7 @@ from nerfreg.field import RadianceField
 from nerfreg.field.workers import threads
 from nerfreg.rendering.config import SamplerConfig
 from nerfreg.rendering.views import ViewRenderer
-from nerfreg.runs.train import load_run
+from nerfreg.runs.load import load_run
 from nerfreg.scenes import Scene
 from nerfreg.training.memory import peak_memory_mb
 

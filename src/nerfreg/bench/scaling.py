@@ -12,7 +12,7 @@ import numpy as np
 from rich.console import Console
 
 from nerfreg.analysis.figures import PALETTE, panels, save
-from nerfreg.analysis.tables import Outcome, new_table, write_csv
+from nerfreg.analysis.tables import Outcome, new_table, write_points
 from nerfreg.bench.configured import TINY, compose, make_trainer, prepare_cpu, step_at
 from nerfreg.bench.timing import in_turns, spread
 from nerfreg.config.schema import Config
@@ -88,7 +88,9 @@ def run(folder: Path, sizes: Sizes, overrides: tuple[str, ...]) -> Outcome:
     prepare_cpu(config)
     points = measure(config, sizes)
     print_table(points, config, sizes)
-    return Outcome([write_csv(folder / "scaling.csv", points), *draw(points, folder / "scaling")])
+    return Outcome(
+        [write_points(folder / "scaling.csv", points), *draw(points, folder / "scaling")]
+    )
 
 
 def measure(config: Config, sizes: Sizes) -> list[Point]:

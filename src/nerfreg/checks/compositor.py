@@ -10,7 +10,7 @@ from nerfreg.checks.exact import composite_exactly, relative_error
 from nerfreg.checks.gradients import wrong_gradient
 from nerfreg.checks.inputs import Inputs
 from nerfreg.checks.report import Report, Spot
-from nerfreg.finite import not_finite
+from nerfreg.numerics import not_finite
 from nerfreg.rendering.compositing import Composite, composite
 
 NAME = "compositing"

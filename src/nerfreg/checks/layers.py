@@ -18,7 +18,7 @@ from nerfreg.checks.losses import broken_promises
 from nerfreg.checks.report import LIMITS, Report, Spot
 from nerfreg.checks.subject import Subject
 from nerfreg.field.layers import ACTIVATIONS, AffineLayer
-from nerfreg.finite import not_finite
+from nerfreg.numerics import not_finite
 from nerfreg.training.contracts import wrong_layer
 
 ROWS = (0.0, 1e-30, 1e30)

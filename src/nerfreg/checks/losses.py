@@ -14,8 +14,8 @@ from nerfreg.checks.gradients import wrong_gradient
 from nerfreg.checks.inputs import Inputs
 from nerfreg.checks.report import LIMITS, Report, Spot
 from nerfreg.checks.subject import Subject
-from nerfreg.finite import not_finite
 from nerfreg.hooks import Rays, Rendering
+from nerfreg.numerics import not_finite
 from nerfreg.registry import Term
 from nerfreg.training.contracts import Untouched, wrong_terms
 

@@ -8,9 +8,8 @@ from dataclasses import dataclass
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
-from nerfreg.errors import NerfregError
+from nerfreg.errors import NerfregError, nearest
 from nerfreg.hooks import Regularizer
-from nerfreg.nearest import nearest
 from nerfreg.registry import Hooks, PluginInfo
 
 

@@ -9,8 +9,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, cast
 
-from nerfreg.errors import NerfregError
-from nerfreg.nearest import nearest
+from nerfreg.errors import NerfregError, nearest
 
 if TYPE_CHECKING:
     from nerfreg.analysis.tables import Outcome

@@ -19,8 +19,7 @@ from nerfreg.checks.photographs import PHOTOGRAPH_CASES
 from nerfreg.checks.report import Report
 from nerfreg.checks.subject import Subject, make_subject
 from nerfreg.checks.table import as_json, print_reports
-from nerfreg.errors import NerfregError
-from nerfreg.nearest import nearest
+from nerfreg.errors import NerfregError, nearest
 from nerfreg.registry import PluginInfo, installed
 
 ALL_CASES = (*CASES, *LAYER_CASES, *PHOTOGRAPH_CASES)

@@ -16,9 +16,10 @@ from hydra.core.hydra_config import HydraConfig
 from hydra.types import RunMode
 from omegaconf import DictConfig
 
-from nerfreg.config import schema as configuration
 from nerfreg.config.explain import COMPOSITION_ERRORS, Refused, check_overrides, explain
-from nerfreg.config.schema import Config, own_folder, validated
+from nerfreg.config.schema import Config, register
+from nerfreg.config.search_path import own_folder
+from nerfreg.config.validation import validated
 from nerfreg.errors import NerfregError
 from nerfreg.registry import PluginInfo
 from nerfreg.sweeps import folders
@@ -139,7 +140,7 @@ class _Task:
 
 def _register() -> list[PluginInfo]:
     folders.register()
-    return configuration.register()
+    return register()
 
 
 def _discard(folder: Path) -> None:

@@ -17,10 +17,9 @@ from rich.console import Console
 
 from nerfreg import __version__
 from nerfreg.analysis.tables import write_record
-from nerfreg.bench.configured import compose
+from nerfreg.config.compose import compose, require_steps
 from nerfreg.config.schema import Config
-from nerfreg.errors import NerfregError
-from nerfreg.nearest import nearest
+from nerfreg.errors import NerfregError, nearest
 from nerfreg.prune.ledger import CELLS, CellFile, Ledger
 from nerfreg.prune.plan import Design, make_folds, make_ladder
 from nerfreg.prune.preset import plain, preset_name, preset_path, write_preset
@@ -159,6 +158,7 @@ def _configuration(options: PruneOptions) -> tuple[Config, tuple[str, ...]]:
     ):
         raise NerfregError(f"{taken}: prune chooses itself which training views it holds out")
     config = compose((*options.overrides, "scene.held_out=[0]"))
+    require_steps(config)
     full = tuple(str(name) for name, plugin in config.reg.items() if plugin.weight != 0)
     if not full:
         raise NerfregError(

@@ -8,8 +8,7 @@ from dataclasses import dataclass
 from omegaconf import OmegaConf
 from omegaconf.errors import ConfigKeyError, OmegaConfBaseException
 
-from nerfreg.errors import NerfregError
-from nerfreg.nearest import nearest
+from nerfreg.errors import NerfregError, nearest
 
 CHOICES = {"path": ("test", "spiral", "orbit"), "format": ("mp4", "gif")}
 

@@ -8,8 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from nerfreg.errors import NerfregError
-from nerfreg.nearest import nearest
+from nerfreg.errors import NerfregError, nearest
 from nerfreg.reports.tables import Table
 
 OPTIONS = {

@@ -109,7 +109,7 @@ def _scene(words: list[str]) -> int:
 
 def _evaluate(words: list[str]) -> None:
     run = _run_folder("evaluate", words)
-    from nerfreg.runs.train import evaluate_run
+    from nerfreg.runs.evaluate import evaluate_run
 
     evaluate_run(run, words[1:])
 
@@ -117,7 +117,7 @@ def _evaluate(words: list[str]) -> None:
 def _render(words: list[str]) -> None:
     run = _run_folder("render", words)
     from nerfreg.cli.render_options import parse_render_options
-    from nerfreg.runs.train import render_run
+    from nerfreg.runs.render import render_run
 
     options = parse_render_options(words[1:])
     out = Path(options.out) if options.out else run / "renders"

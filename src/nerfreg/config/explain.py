@@ -14,12 +14,12 @@ from omegaconf.errors import (
 )
 from yaml import YAMLError
 
-from nerfreg.config.schema import options
-from nerfreg.errors import NerfregError
-from nerfreg.nearest import nearest
+from nerfreg.config.search_path import options
+from nerfreg.errors import NerfregError, nearest
 from nerfreg.registry import PluginInfo
 
 COMPOSITION_ERRORS = (HydraException, OmegaConfBaseException, YAMLError)
+GROUP_OF_KEYS = "is a group of keys; `nerfreg train --cfg job` shows them"
 EXTRA = ("hydra/launcher", "hydra/sweeper")
 """Groups whose choices come with packages that are not installed by default."""
 
@@ -55,6 +55,8 @@ def explain(error: Exception, plugins: Sequence[PluginInfo], overrides: Sequence
         if isinstance(cause, MissingMandatoryValue):
             return f"{cause.full_key} has no value; add {cause.full_key}=..."
         if isinstance(cause, OmegaConfBaseException) and cause.full_key:
+            if match := re.search(r"not a subclass of \w+Config. value: (.*)", str(cause)):
+                return f"{cause.full_key}={match[1]}: {GROUP_OF_KEYS}"
             return f"{_where(error)}{cause.full_key}: {_first_line(cause)}"
     if isinstance(error, MissingConfigException):
         return _unknown_choice(error, plugins)

@@ -9,7 +9,8 @@ from typing import Any
 from omegaconf import DictConfig, OmegaConf
 
 from nerfreg.config.explain import COMPOSITION_ERRORS, explain
-from nerfreg.config.schema import Config, plugin_schema, register, scene_schema, validated
+from nerfreg.config.schema import Config, plugin_schema, register, scene_schema
+from nerfreg.config.validation import validated
 from nerfreg.errors import NerfregError
 
 

@@ -10,9 +10,10 @@ from typing import Any
 import yaml
 from omegaconf import OmegaConf
 
-from nerfreg.config.schema import Config, options
+from nerfreg.config.schema import Config
+from nerfreg.config.search_path import options
 from nerfreg.errors import NerfregError
-from nerfreg.files import atomic
+from nerfreg.files import write_text
 from nerfreg.hooks import Regularizer
 from nerfreg.prune.plan import Selection
 from nerfreg.registry import installed
@@ -62,8 +63,7 @@ def write_preset(path: Path, config: Config, kept: Selection, comments: Sequence
         body += yaml.safe_dump(settings, default_flow_style=False, sort_keys=False)
     lines = [f"# {line}".rstrip() for line in comments]
     lines[0] = f"{MARK} {comments[0]}"
-    with atomic(path) as part:
-        part.write_text("\n".join(lines) + "\n" + body, encoding="utf-8")
+    write_text(path, "\n".join(lines) + "\n" + body)
 
 
 def changed_settings(config: Config, name: str) -> dict[str, Any]:

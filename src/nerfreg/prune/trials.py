@@ -23,7 +23,7 @@ from nerfreg.prune.ledger import Measurement
 from nerfreg.prune.plan import Selection, Trial
 from nerfreg.registry import Hooks
 from nerfreg.rendering.views import ViewRenderer
-from nerfreg.runs.train import prepare
+from nerfreg.runs.load import prepare
 from nerfreg.scenes import Scene, load_scene
 from nerfreg.training.guard import Guard
 from nerfreg.training.memory import keep_large_blocks

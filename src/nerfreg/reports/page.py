@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from nerfreg import __version__
-from nerfreg.files import atomic
+from nerfreg.files import write_text
 from nerfreg.reports.axes import duration
 from nerfreg.reports.figures import Plot
 from nerfreg.reports.grouping import by_setting, slug
@@ -120,8 +120,7 @@ def write(
         depth_map=_gradient(DEPTH_MAP),
     )
     path = folder / NAME
-    with atomic(path) as part:
-        part.write_text(text, encoding="utf-8")
+    write_text(path, text)
     return path
 
 

@@ -20,10 +20,10 @@ from nerfreg.errors import NerfregError
 from nerfreg.field import RadianceField
 from nerfreg.files import atomic
 from nerfreg.hooks import Rays
+from nerfreg.runs.files import RECORDED_STEPS
 from nerfreg.training.faults import Batch, Fault
 
 FORMAT = "nerfreg-step-1"
-FOLDER = "nonfinite"
 KEPT = 3
 
 
@@ -38,11 +38,11 @@ class Recording:
     faults: tuple[str, ...]
 
 
-class Recorder:
+class StepRecorder:
     """Saves steps of a run in RUN/nonfinite, each whole or not at all, and keeps the latest; clears older runs'."""
 
     def __init__(self, run: Path, config: Config) -> None:
-        self._folder = run / FOLDER
+        self._folder = run / RECORDED_STEPS
         self._config = config
         self._drop_all_but(0)
 

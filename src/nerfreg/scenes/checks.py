@@ -10,8 +10,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from nerfreg.errors import NerfregError
-from nerfreg.nearest import nearest
+from nerfreg.errors import NerfregError, nearest
 
 RIGID_TOLERANCE = 1e-3
 

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import json
 import traceback
 from collections.abc import Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 
-from nerfreg.files import atomic
+from nerfreg.files import write_json
 from nerfreg.runs.files import FAILED
 
 
@@ -21,8 +20,7 @@ def write_failure(folder: Path, error: BaseException, overrides: Sequence[str]) 
         "traceback": "".join(traceback.format_exception(error)),
         "time": datetime.now(UTC).isoformat(timespec="seconds"),
     }
-    with atomic(folder / FAILED) as part:
-        part.write_text(json.dumps(record, indent=2) + "\n", encoding="utf-8")
+    write_json(folder / FAILED, record)
 
 
 def in_one_line(error: BaseException) -> str:

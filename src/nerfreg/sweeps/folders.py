@@ -15,8 +15,7 @@ from yaml import YAMLError
 
 from nerfreg.config.naming import digest, overrides_name, study_name
 from nerfreg.errors import NerfregError
-from nerfreg.runs.files import FAILED, METRICS, RENDERS
-from nerfreg.runs.recording import FOLDER as RECORDED_STEPS
+from nerfreg.runs.files import FAILED, METRICS, RECORDED_STEPS, RENDERS
 from nerfreg.training.checkpoint import FOLDER as CHECKPOINT
 
 LEFT_OVER = (FAILED, METRICS, CHECKPOINT, RECORDED_STEPS, RENDERS)

@@ -10,7 +10,7 @@ from dataclasses import asdict, dataclass
 from enum import StrEnum
 from pathlib import Path
 
-from nerfreg.files import atomic
+from nerfreg.files import write_json
 
 
 class State(StrEnum):
@@ -46,8 +46,7 @@ class Journal:
 
     def write(self, entry: Entry) -> None:
         """Tell of a job, instead of what was told before."""
-        with atomic(self.folder / f"{entry.number}.json") as part:
-            part.write_text(json.dumps(asdict(entry)), encoding="utf-8")
+        write_json(self.folder / f"{entry.number}.json", asdict(entry))
 
     def read(self) -> list[Entry]:
         """The latest of each job, in the order of their numbers."""

@@ -13,7 +13,8 @@ from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import IntervalSweep, Override
 from omegaconf import DictConfig, OmegaConf
 
-from nerfreg.config.schema import Config, validated
+from nerfreg.config.schema import Config
+from nerfreg.config.validation import validated
 from nerfreg.errors import NerfregError
 from nerfreg.evaluation.lpips_weights import HOW_TO_GET_WEIGHTS, find_lpips_weights
 from nerfreg.scenes import load_scene

@@ -10,8 +10,8 @@ import torch
 from torch import Tensor, nn
 
 from nerfreg.field.layers import AffineLayer
-from nerfreg.finite import not_finite
 from nerfreg.hooks import NEIGHBORS, Needs, Rays, Rendering, Samples
+from nerfreg.numerics import not_finite
 from nerfreg.registry import Term
 from nerfreg.scenes.scene import Photographs
 

@@ -9,8 +9,8 @@ from dataclasses import dataclass, fields
 import torch
 from torch import Tensor, nn
 
-from nerfreg.finite import not_finite
 from nerfreg.hooks import Rays, Rendering, Step
+from nerfreg.numerics import not_finite
 from nerfreg.registry import Hooks, Term
 from nerfreg.rendering.renderer import Renderer
 from nerfreg.training.loss import label, loss_terms, total_loss

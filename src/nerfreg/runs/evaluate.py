@@ -1,0 +1,42 @@
+"""Score a run again."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from nerfreg.evaluation.lpips import load_lpips
+from nerfreg.evaluation.scores import score_views
+from nerfreg.runs.files import RESULTS, write_results
+from nerfreg.runs.load import load_run
+from nerfreg.runs.pictures import saving
+from nerfreg.runs.results import description, per_view, summary
+
+
+def evaluate_run(run: Path, overrides: Sequence[str] = ()) -> dict[str, Any]:
+    """Score the checkpoint of a run on all its test views, and write pictures and results anew.
+
+    Args:
+        run: The run's folder.
+        overrides: `key=value` changes of its configuration.
+
+    Returns:
+        What `results.json` holds.
+    """
+    config, scene, field, state = load_run(run, overrides)
+    lpips = load_lpips(config.eval.lpips_weights) if config.eval.lpips else None
+    scores = score_views(scene, scene.test, saving(field, config, scene, run), lpips)
+    results = {
+        **asdict(state),
+        **scores.record(),
+        "points_per_second": state.points / max(state.train_seconds, 1e-9),
+        "test_views": per_view(scene, scores),
+        **description(config, scene),
+    }
+    write_results(run, results)
+    for line in summary(results):
+        print(line)
+    print(run / RESULTS)
+    return results
