@@ -16,8 +16,8 @@ from hydra import initialize_config_dir
 from torch import Tensor
 
 from nerfreg import Regularizer, hookimpl, registry
+from nerfreg.config.folders import own_folder
 from nerfreg.config.schema import Config, register
-from nerfreg.config.search_path import own_folder
 from nerfreg.config.validation import validated
 from nerfreg.hooks import Rays, Rendering, Step
 from nerfreg.registry import Hooks

@@ -10,10 +10,11 @@ from omegaconf import DictConfig, OmegaConf
 
 from nerfreg import NerfregError
 from nerfreg.config.compose import compose as compose_in_program
+from nerfreg.config.folders import own_folder, user_folders
 from nerfreg.config.naming import run_name, slug
 from nerfreg.config.saved import read_run
 from nerfreg.config.schema import register
-from nerfreg.config.search_path import options, own_folder, user_folders
+from nerfreg.config.search_path import options
 from nerfreg.field import FieldConfig
 from nerfreg.scenes import Procedural
 

@@ -1,5 +1,5 @@
 """The command line: one entrance, `main`."""
 
-from nerfreg.cli.verbs import main
+from nerfreg.cli.entry import main
 
 __all__ = ["main"]

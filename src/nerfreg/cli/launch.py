@@ -17,8 +17,8 @@ from hydra.types import RunMode
 from omegaconf import DictConfig
 
 from nerfreg.config.explain import COMPOSITION_ERRORS, Refused, check_overrides, explain
+from nerfreg.config.folders import own_folder
 from nerfreg.config.schema import Config, register
-from nerfreg.config.search_path import own_folder
 from nerfreg.config.validation import validated
 from nerfreg.errors import NerfregError
 from nerfreg.registry import PluginInfo

@@ -8,8 +8,8 @@ import hydra
 from hydra import initialize_config_dir
 
 from nerfreg.config.explain import COMPOSITION_ERRORS, check_overrides, explain
+from nerfreg.config.folders import own_folder
 from nerfreg.config.schema import Config, register
-from nerfreg.config.search_path import own_folder
 from nerfreg.config.validation import validated
 from nerfreg.errors import NerfregError
 

@@ -6,7 +6,6 @@ Four places are searched, and the first that has a file wins: the package's own 
 
 from __future__ import annotations
 
-import os
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -16,26 +15,11 @@ from hydra.core.config_store import ConfigStore
 from hydra.core.plugins import Plugins
 from hydra.plugins.search_path_plugin import SearchPathPlugin
 
+from nerfreg.config.folders import choices_on_disk, user_folders
 from nerfreg.registry import PluginInfo
 
 SCHEMA = "_schema"
 """Ending of the stored nodes that hold types. They are listed by files, and are no choices."""
-
-
-def own_folder() -> Path:
-    """Return the package's `conf`: inside the package when installed, at the top of a checkout."""
-    package = Path(__file__).parents[1]
-    inside, checkout = package / "conf", package.parents[1] / "conf"
-    return inside if inside.is_dir() else checkout
-
-
-def user_folders() -> list[Path]:
-    """Return `./conf` and `$XDG_CONFIG_HOME/nerfreg`, where they exist."""
-    home = os.environ.get("XDG_CONFIG_HOME") or Path.home() / ".config"
-    folders = [Path.cwd() / "conf", Path(home) / "nerfreg"]
-    # In a checkout ./conf is the package's own, which Hydra searches anyway.
-    own = own_folder().resolve()
-    return [folder for folder in folders if folder.is_dir() and folder.resolve() != own]
 
 
 def preset_folders(plugins: Sequence[PluginInfo]) -> list[Path]:
@@ -51,8 +35,9 @@ def preset_folders(plugins: Sequence[PluginInfo]) -> list[Path]:
 
 def options(group: str, plugins: Sequence[PluginInfo]) -> list[str]:
     """Return all choices of a configuration group."""
-    folders = [own_folder(), *user_folders(), *preset_folders(plugins)]
+    folders = preset_folders(plugins)
     files = {path.stem for folder in folders for path in (folder / group).glob("*.yaml")}
+    files |= choices_on_disk(group)
     try:
         stored = {name.removesuffix(".yaml") for name in ConfigStore.instance().list(group)}
     except OSError:  # Hydra's way of saying that there is no such group

@@ -1,16 +1,14 @@
-"""`nerfreg prune [overrides] [options]`."""
+"""`nerfreg prune`: one study from beginning to end."""
 
 from __future__ import annotations
 
 import hashlib
 import json
-import math
 import shlex
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 from omegaconf import OmegaConf
 from rich.console import Console
@@ -19,7 +17,7 @@ from nerfreg import __version__
 from nerfreg.analysis.tables import write_record
 from nerfreg.config.compose import compose, require_steps
 from nerfreg.config.schema import Config
-from nerfreg.errors import NerfregError, nearest
+from nerfreg.errors import NerfregError
 from nerfreg.prune.ledger import CELLS, CellFile, Ledger
 from nerfreg.prune.plan import Design, make_folds, make_ladder
 from nerfreg.prune.preset import plain, preset_name, preset_path, write_preset
@@ -48,9 +46,16 @@ class PruneOptions:
     folder: Path | None = None
 
 
-def run(words: list[str]) -> int:
-    """Run a study, print what it found, and leave its files and the preset. Raises NerfregError for bad input."""
-    options = parse_prune_options(words)
+def run(options: PruneOptions, command: Sequence[str]) -> None:
+    """Run a study, print what it found, and leave its files and the preset.
+
+    Args:
+        options: Of the study.
+        command: The command line, which is recorded and repeats the study.
+
+    Raises:
+        NerfregError: The options cannot be used.
+    """
     console = Console(stderr=True)
     config, full = _configuration(options)
     trials = Trials(
@@ -88,7 +93,6 @@ def run(words: list[str]) -> int:
         scene.name, trials.views, design, ledger, outcome, options.tolerance, options.budget
     )
     print_report(summary, Console())
-    command = ("nerfreg", "prune", *words)
     layout_known = replace(config, scene=replace(config.scene, layout=scene.layout))
     write_preset(path, layout_known, outcome.pruned, _comments(summary, command))
     write_record(folder / RECORD, record(summary, command, str(path)))
@@ -96,59 +100,6 @@ def run(words: list[str]) -> int:
     print(folder / RECORD)
     others = [word for word in options.overrides if not word.lstrip("+").startswith("reg")]
     print(f"nerfreg train {shlex.join([*others, f'+reg={path.stem}'])}")
-    return 0
-
-
-def parse_prune_options(words: Sequence[str]) -> PruneOptions:
-    """Read what follows `nerfreg prune`. Raises NerfregError naming the word at fault."""
-    given: dict[str, Any] = {}
-    overrides: list[str] = []
-    rest = list(words)
-    while rest:
-        word = rest.pop(0)
-        if word in READERS:
-            field, wanted, read = READERS[word]
-            if not rest or rest[0].startswith("--"):
-                raise NerfregError(f"{word} needs {wanted}")
-            given[field] = read(word, rest.pop(0))
-        elif word.startswith("-"):
-            raise NerfregError(f"prune: unknown option '{word}'; {nearest(word, READERS)}")
-        else:
-            overrides.append(word)
-    return PruneOptions(tuple(overrides), **given)
-
-
-def _count(option: str, word: str) -> int:
-    if not word.isdecimal() or int(word) == 0:
-        raise NerfregError(f"{option} {word}: must be a whole number, at least 1")
-    return int(word)
-
-
-def _positive(option: str, word: str) -> float:
-    try:
-        value = float(word)
-    except ValueError:
-        value = math.nan
-    if not (value > 0 and math.isfinite(value)):
-        raise NerfregError(f"{option} {word}: must be a positive number")
-    return value
-
-
-def _folder(option: str, word: str) -> Path:
-    if Path(word).exists() and not Path(word).is_dir():
-        raise NerfregError(f"{option} {word}: is a file; name a folder")
-    return Path(word)
-
-
-READERS: dict[str, tuple[str, str, Callable[[str, str], Any]]] = {
-    "--budget": ("budget", "the seconds that all of it may take", _positive),
-    "--folds": ("folds", "the number of folds of the training views", _count),
-    "--steps": ("steps", "the number of steps of the first trainings", _count),
-    "--tolerance": ("tolerance", "the dB that count as no difference", _positive),
-    "--stride": ("stride", "which rows and columns are scored: every N-th", _count),
-    "--name": ("name", "the name of the preset", lambda _, word: word),
-    "-o": ("folder", "a folder to write to", _folder),
-}
 
 
 def _configuration(options: PruneOptions) -> tuple[Config, tuple[str, ...]]:

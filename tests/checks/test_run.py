@@ -7,11 +7,10 @@ from pathlib import Path
 
 import pytest
 
-from nerfreg import NerfregError, Regularizer, hookimpl
+from nerfreg import Regularizer, hookimpl
 from nerfreg.checks.cases import CASES
 from nerfreg.checks.layers import LAYER_CASES
 from nerfreg.checks.photographs import PHOTOGRAPH_CASES
-from nerfreg.cli import check as command
 from nerfreg.cli import main
 from nerfreg.registry import installed
 
@@ -117,11 +116,6 @@ def test_list_of_cases(capsys):
     [
         (["kll"], "unknown plugin 'kll'; did you mean 'kl'?"),
         (["--case", "two_wall"], "--case two_wall: did you mean 'two_walls'?"),
-        (["--dtype", "float23"], "--dtype float23: did you mean 'float32'?"),
-        (["--samples", "0"], "--samples 0: must be a whole number, at least 1"),
-        (["--samples", "1.5"], "--samples 1.5: must be a whole number, at least 1"),
-        (["--case"], "--case needs a value"),
-        (["--jason"], "unknown option '--jason'; did you mean '--json'?"),
         (
             ["kl", "kl.density=alphas"],
             "'kl.density=alphas' is no plugin and no override; write reg.NAME.key=value",
@@ -134,16 +128,15 @@ def test_list_of_cases(capsys):
         (["annealing", "reg.annealing.initial=0"], "reg.annealing.initial: 0.0 is not in (0, 1]"),
     ],
 )
-def test_mistakes_are_named(words, message):
-    with pytest.raises(NerfregError) as error:
-        command.run(words)
-    assert message in str(error.value)
+def test_mistakes_are_named(words, message, capsys):
+    assert main(["check", *words]) == 2
+    assert message in capsys.readouterr().err
 
 
 def test_replay(monkeypatch, tmp_path):
     replayed = []
     monkeypatch.setattr("nerfreg.runs.replay.replay", lambda path: replayed.append(path) or 1)
-    assert command.run(["--replay", str(tmp_path)]) == 1
+    assert main(["check", "--replay", str(tmp_path)]) == 1
     assert replayed == [tmp_path]
 
 

@@ -8,8 +8,6 @@ from pathlib import Path
 import pytest
 
 from nerfreg.cli import main
-from nerfreg.cli.report import ReportOptions, parse_report_options
-from nerfreg.errors import NerfregError
 
 PAPER = (
     "dataset,views,scene,method,psnr,ssim,lpips,average\nllff,3,fern,vanilla,17.79,0.509,0.402,\n"
@@ -71,44 +69,6 @@ def test_views_that_no_run_has_leave_no_half_of_a_report(
     assert main(["report", "runs", "-o", "out", "--views", "nowhere"]) == 2
     assert "--views nowhere: no run has a picture of it" in capsys.readouterr().err
     assert not [path for path in Path("out").rglob("*") if path.is_file()]
-
-
-@pytest.mark.parametrize(
-    ("words", "options"),
-    [
-        (["a", "b"], ReportOptions((Path("a"), Path("b")))),
-        (["-o", "x", "a", "--psnr", "-1.5"], ReportOptions((Path("a"),), Path("x"), psnr=-1.5)),
-        (
-            ["a", "--paper", "p.csv", "--views", "v1,v2,"],
-            ReportOptions((Path("a"),), paper=Path("p.csv"), pictures=("v1", "v2")),
-        ),
-    ],
-)
-def test_options(words: list[str], options: ReportOptions) -> None:
-    assert parse_report_options(words) == options
-
-
-@pytest.mark.parametrize(
-    ("words", "message"),
-    [
-        ([], "report needs folders of runs"),
-        (["-o", "x"], "report needs folders of runs"),
-        (["a", "-o"], "-o needs a folder"),
-        (["a", "--paper", "-o", "x"], "--paper needs a CSV file"),
-        (["a", "--pape"], "unknown option '--pape'; did you mean '--paper'?"),
-        (["a", "--psnr", "high"], "--psnr high: must be a number"),
-        (["a", "--psnr", "nan"], "--psnr nan: must be a number"),
-        (["a", "-o", "file"], "-o file: is a file"),
-    ],
-)
-def test_words_that_cannot_be(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, words: list[str], message: str
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    Path("file").write_text("")
-    with pytest.raises(NerfregError) as error:
-        parse_report_options(words)
-    assert message in str(error.value)
 
 
 def test_no_run(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

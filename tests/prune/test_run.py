@@ -9,12 +9,11 @@ from pathlib import Path
 import pytest
 
 from nerfreg.cli import main
-from nerfreg.cli.prune import PruneOptions, fingerprint, parse_prune_options
 from nerfreg.config.schema import Config
-from nerfreg.errors import NerfregError
 from nerfreg.prune import trials
 from nerfreg.prune.ledger import Measurement
 from nerfreg.prune.plan import Trial
+from nerfreg.prune.run import fingerprint
 
 TINY = [
     "scene.size=16", "scene.views=2", "scene.test_views=1", "field.levels=2", "field.log2_entries=8", "train.rays=32",
@@ -29,40 +28,9 @@ def elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
-def test_options() -> None:
-    assert parse_prune_options(["+reg=kl"]) == PruneOptions(
-        ("+reg=kl",), 3600.0, None, None, 0.1, 2, None, None
-    )
-    words = [
-        "--budget",
-        "90",
-        "--folds",
-        "3",
-        "scene=llff",
-        "--steps",
-        "50",
-        "+reg=kl",
-        "--tolerance",
-        "0.2",
-    ]
-    words += ["--stride", "1", "--name", "x", "-o", "out"]
-    assert parse_prune_options(words) == PruneOptions(
-        ("scene=llff", "+reg=kl"), 90.0, 3, 50, 0.2, 1, "x", Path("out")
-    )
-
-
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (["--budgt", "3"], "prune: unknown option '--budgt'; did you mean '--budget'?"),
-        (["-m", "+reg=kl"], "prune: unknown option '-m'"),
-        (["--budget"], "--budget needs the seconds"),
-        (["--budget", "--folds", "2"], "--budget needs the seconds"),
-        (["--budget", "-3"], "--budget -3: must be a positive number"),
-        (["--budget", "inf"], "--budget inf: must be a positive number"),
-        (["--folds", "x"], "--folds x: must be a whole number"),
-        (["--steps", "0"], "--steps 0: must be a whole number, at least 1"),
-        (["--tolerance", "0"], "--tolerance 0: must be a positive number"),
         ([], "nothing is selected that could be left out; add +reg="),
         (["+reg=vanilla"], "nothing is selected that could be left out"),
         (["+reg=kl", "reg.kl.weight=0"], "nothing is selected that could be left out"),
@@ -85,18 +53,6 @@ def test_bad_input_is_one_line_and_leaves_nothing(
     error = capsys.readouterr().err
     assert error.startswith("nerfreg: error: ") and message in error and error.count("\n") == 1
     assert not list(elsewhere.iterdir())
-
-
-def test_a_folder_that_is_a_file(elsewhere: Path) -> None:
-    (elsewhere / "file").touch()
-    with pytest.raises(NerfregError, match="-o file: is a file"):
-        parse_prune_options(["-o", "file"])
-
-
-def test_help(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["prune", "--help"]) == 0
-    shown = capsys.readouterr().out
-    assert shown.startswith("usage: nerfreg prune") and "--budget SECONDS" in shown
 
 
 def test_fingerprint(compose: Callable[..., Config]) -> None:

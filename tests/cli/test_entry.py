@@ -12,9 +12,9 @@ from pathlib import Path
 import pytest
 
 from nerfreg import __version__
-from nerfreg.cli import launch
+from nerfreg.cli import launch, main
+from nerfreg.cli.parser import make_parser, parsers_of
 from nerfreg.cli.render_options import RenderOptions, parse_render_options
-from nerfreg.cli.verbs import VERBS, main
 from nerfreg.errors import NerfregError
 from nerfreg.runs.citations import cite
 
@@ -42,7 +42,7 @@ def test_help_lists_verbs_and_is_fast(environment: dict[str, str]) -> None:
     begun = time.perf_counter()
     shown = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
     assert time.perf_counter() - begun < 1
-    assert all(f"\n  {verb} " in shown.stdout for verb in VERBS)
+    assert all(f"\n    {verb} " in shown.stdout for verb in parsers_of(make_parser()))
 
 
 @pytest.mark.parametrize("words", [[], ["-h"], ["--help"], ["--help", "--debug"]])
@@ -56,9 +56,9 @@ def test_version(capsys: pytest.CaptureFixture[str]) -> None:
     assert capsys.readouterr().out == f"nerfreg {__version__}\n"
 
 
-@pytest.mark.parametrize("verb", ["evaluate", "render", "plugins", "cite"])
+@pytest.mark.parametrize("verb", [*parsers_of(make_parser()), "bench step"])
 def test_help_of_a_verb(verb: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main([verb, "--help"]) == 0
+    assert main([*verb.split(), "--help"]) == 0
     assert capsys.readouterr().out.startswith(f"usage: nerfreg {verb}")
 
 
@@ -102,7 +102,7 @@ def test_help_of_a_verb(verb: str, capsys: pytest.CaptureFixture[str]) -> None:
         (["evaluate"], "evaluate needs the folder of a run"),
         (["evaluate", "nowhere"], "nowhere: not the folder of a run"),
         (["cite", "."], "not the folder of a run"),
-        (["plugins", "kl"], "plugins takes no argument, got 'kl'"),
+        (["plugins", "kl"], "plugins takes no further argument, got 'kl'"),
     ],
 )
 def test_bad_input_is_one_line_and_leaves_nothing(
@@ -231,26 +231,51 @@ def test_scene_draws_its_cameras(elsewhere: Path, capsys: pytest.CaptureFixture[
     assert capsys.readouterr().out.splitlines()[-1] == str(picture)
 
 
-def complete(
-    line: str, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> list[str]:
-    monkeypatch.setenv("COMP_LINE", line)
-    assert main(["-sc", "query=bash"]) == 0
-    return capfd.readouterr().out.split()
+def complete(line: str, environment: dict[str, str]) -> list[str]:
+    """What a shell is told, which asks as argcomplete has it ask."""
+    asked = {
+        **environment,
+        "_ARGCOMPLETE": "1",
+        "_ARGCOMPLETE_IFS": "\n",
+        "_ARGCOMPLETE_SUPPRESS_SPACE": "1",
+        "_ARGCOMPLETE_STDOUT_FILENAME": "completions",
+        "COMP_LINE": line,
+        "COMP_POINT": str(len(line)),
+    }
+    # argcomplete ends the process without the interpreter's own way out, exit code 0
+    subprocess.run([sys.executable, "-m", "nerfreg"], env=asked, check=True)
+    return Path("completions").read_text(encoding="utf-8").split("\n")
 
 
-def test_completion(capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
-    assert complete("nerfreg ", capfd, monkeypatch) == [*VERBS]
-    assert complete("nerfreg tr", capfd, monkeypatch) == ["train"]
-    assert {"+reg=kl", "+reg=combinerf"} <= {*complete("nerfreg train +reg=", capfd, monkeypatch)}
-    assert complete("nerfreg train +reg=lip", capfd, monkeypatch) == ["+reg=lipschitz"]
-    assert complete("nerfreg train +reg=kl reg.kl.wei", capfd, monkeypatch) == ["reg.kl.weight="]
-    assert complete("nerfreg evaluate ru", capfd, monkeypatch) == []
+def test_completion(environment: dict[str, str]) -> None:
+    assert set(complete("nerfreg ", environment)) == set(parsers_of(make_parser()))
+    assert complete("nerfreg tr", environment) == ["train"]
+    assert complete("nerfreg prune --bu", environment) == ["--budget"]
+    assert complete("nerfreg bench st", environment) == ["step"]
+    assert complete("nerfreg check lip", environment) == ["lipschitz"]
 
 
-def test_completion_is_installed_for_the_program(capfd: pytest.CaptureFixture[str]) -> None:
-    assert main(["-sc", "install=bash"]) == 0
-    assert capfd.readouterr().out.rstrip().endswith("-F hydra_bash_completion nerfreg")
+def test_completion_of_overrides(environment: dict[str, str]) -> None:
+    assert {"+reg=kl", "+reg=combinerf"} <= {*complete("nerfreg train +reg=", environment)}
+    assert complete("nerfreg train +reg=lip", environment) == ["+reg=lipschitz"]
+    assert complete("nerfreg train +reg=kl reg.kl.wei", environment) == ["reg.kl.weight="]
+    assert sorted(complete("nerfreg scene scene=", environment)) == [
+        f"scene={name}" for name in ("blender", "llff", "procedural", "transforms")
+    ]
+
+
+@pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
+def test_completion_is_installed_for_the_program(
+    shell: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["-sc", f"install={shell}"]) == 0
+    code = capsys.readouterr().out
+    assert "nerfreg" in code and ("complete" in code or "compdef" in code)
+
+
+def test_completion_of_an_unknown_shell(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["-sc", "install=fsh"]) == 2
+    assert "-sc install=fsh: did you mean 'fish'?" in capsys.readouterr().err
 
 
 def test_render_options() -> None:
