@@ -81,7 +81,6 @@ def step() -> Callable[..., Step]:
             index / 100,
             torch.Generator(),
             (1.0, 3.0),
-            *[lambda rendering: rendering] * 2,
         )
 
     return step

@@ -16,6 +16,10 @@ class NerfregError(Exception):
     exit_code: ClassVar[int] = 2
 
 
+class NoRendererError(NerfregError):
+    """A plugin wants rays rendered again where there is no field to render."""
+
+
 class NonFiniteError(NerfregError):
     """Training met too many losses or gradients in a row that are not finite."""
 

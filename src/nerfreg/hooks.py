@@ -16,16 +16,17 @@ An implementation may leave out the arguments that it does not use.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Protocol, runtime_checkable
 
 import pluggy
 import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor, nn
 
+from nerfreg.errors import NoRendererError
 from nerfreg.numerics import MIN_OPACITY, log_alpha
 from nerfreg.scenes.scene import Photographs
 
@@ -168,15 +169,35 @@ class Rendering:
         return self.opacity.detach() >= MIN_OPACITY
 
 
+@runtime_checkable
+class RayRenderer(Protocol):
+    """Makes a Rendering from rays. The training's is `nerfreg.rendering.renderer.Renderer`."""
+
+    def render(self, rays: Rays, step: Step, like: Rendering | None = None) -> Rendering:
+        """Render rays through the hooks.
+
+        Args:
+            rays: R rays.
+            step: The step that they belong to.
+            like: An earlier rendering of these rays, whose t is taken over and for whose coloured
+                samples colours are evaluated; None: samples are drawn.
+        """
+
+    def frozen(self) -> AbstractContextManager[None]:
+        """Within this context, nothing rendered has gradients with respect to the field's weights."""
+
+
 @dataclass
 class Step:
     """Where the run stands.
 
-    index: steps done before this one. fraction: share of the budget (steps or seconds) spent, 0 to 1.
-    total: the number of steps the run will have, an estimate while the budget is in seconds.
-    generator: the run's source of randomness on the CPU. bounds: near and far of the whole scene.
-    rerender: render the same rays at the same t, with colours for the same samples, through the hooks again.
-    probe: the same without gradients by the field's weights, which is cheaper: for a search over what the field sees.
+    Attributes:
+        index: Number of steps done before this one.
+        total: Number of steps that the run will have, an estimate while the budget is in seconds.
+        fraction: Share of the budget (steps or seconds) that is spent, 0 to 1.
+        generator: The run's source of randomness, on the CPU.
+        bounds: Near and far of the whole scene, in world units.
+        renderer: What renders the rays of the step; None where there is no field.
     """
 
     index: int
@@ -184,8 +205,32 @@ class Step:
     fraction: float
     generator: torch.Generator
     bounds: tuple[float, float]
-    rerender: Callable[[Rendering], Rendering]
-    probe: Callable[[Rendering], Rendering]
+    renderer: RayRenderer | None = None
+
+    def rerender(self, rendering: Rendering) -> Rendering:
+        """Render the same rays at the same t through the hooks again, with the same samples coloured.
+
+        Raises:
+            NoRendererError: There is no renderer.
+        """
+        return self._renderer().render(rendering.rays, self, like=rendering)
+
+    def probe(self, rendering: Rendering) -> Rendering:
+        """Do the same without gradients by the field's weights, which is cheaper.
+
+        Meant for a search over what the field sees.
+
+        Raises:
+            NoRendererError: There is no renderer.
+        """
+        renderer = self._renderer()
+        with renderer.frozen():
+            return renderer.render(rendering.rays, self, like=rendering)
+
+    def _renderer(self) -> RayRenderer:
+        if self.renderer is None:
+            raise NoRendererError("this step has no renderer: its rays cannot be rendered again")
+        return self.renderer
 
 
 @dataclass

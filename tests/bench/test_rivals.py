@@ -25,7 +25,7 @@ def given(name: str) -> Input:
 def own_loss(name: str):
     (info,) = [info for info in installed() if info.name == name]
     hooks = Hooks({name: info.cls(weight=1.0, start=0.0)})
-    step = Step(50, 100, 0.5, torch.Generator(), (2.0, 6.0), *[lambda rendering: rendering] * 2)
+    step = Step(50, 100, 0.5, torch.Generator(), (2.0, 6.0))
     return lambda rendering: hooks.losses(rendering, step)[0].value
 
 

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import nullcontext
+from types import SimpleNamespace
 
 import pytest
 import torch
@@ -55,9 +57,9 @@ def make_step(
     rerender: Callable[[Rendering], Rendering] = lambda rendering: rendering,
 ) -> Step:
     """Step `index` of 1000 in a scene from 2 to 6."""
-    return Step(
-        index, 1000, fraction, torch.Generator().manual_seed(0), (2.0, FAR), rerender, rerender
-    )
+    renderer = SimpleNamespace(render=lambda rays, step, like: rerender(like), frozen=nullcontext)
+    generator = torch.Generator().manual_seed(0)
+    return Step(index, 1000, fraction, generator, (2.0, FAR), renderer)
 
 
 def gradients(value: Tensor, *inputs: Tensor) -> tuple[Tensor, ...]:

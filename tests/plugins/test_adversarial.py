@@ -1,6 +1,8 @@
 from __future__ import annotations
 
+from contextlib import nullcontext
 from dataclasses import replace
+from types import SimpleNamespace
 
 import pytest
 import torch
@@ -42,7 +44,8 @@ def scene(plugin: Adversarial, see) -> tuple[Hooks, Step]:
         samples = Samples(positions, rays.directions, rendering.t)
         return replace(rendering, rgb=see(hooks.encoder_input(samples, step)))
 
-    step = Step(0, 1000, 0.0, torch.Generator(), (2.0, 2.0 + LENGTH), rerender, rerender)
+    renderer = SimpleNamespace(render=lambda rays, step, like: rerender(like), frozen=nullcontext)
+    step = Step(0, 1000, 0.0, torch.Generator(), (2.0, 2.0 + LENGTH), renderer)
     return hooks, step
 
 

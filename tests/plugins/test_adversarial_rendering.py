@@ -37,8 +37,7 @@ def test_through_the_real_renderer():
         0.0,
         torch.Generator().manual_seed(0),
         (0.1, 4.0),
-        rerender=lambda made: renderer.rerender(made, step),
-        probe=lambda made: renderer.probe(made, step),
+        renderer,
     )
     rendering = renderer.render(rays, step)
     clean = (rendering.rgb[:5] - rays.targets).square().mean()
@@ -47,4 +46,4 @@ def test_through_the_real_renderer():
     assert not step.probe(rendering).rgb.requires_grad, "only weights would get a gradient here"
     term.backward()
     assert all(p.grad is not None and p.grad.isfinite().all() for p in renderer.field.parameters())
-    torch.testing.assert_close(renderer.rerender(rendering, step).rgb, rendering.rgb)
+    torch.testing.assert_close(step.rerender(rendering).rgb, rendering.rgb)

@@ -49,7 +49,6 @@ def a_step(seed: int = 0) -> Step:
         0.0,
         torch.Generator().manual_seed(seed),
         (2.0, 4.0),
-        *[lambda rendering: rendering] * 2,
     )
 
 
@@ -109,7 +108,7 @@ def test_rays_of_a_group_share_their_t(field: RadianceField) -> None:
 def test_rerendering_repeats_the_rendering(field: RadianceField) -> None:
     renderer = Renderer(field, SamplerConfig(8, 16), Hooks())
     rendering = renderer.render(some_rays(), a_step())
-    again = renderer.rerender(rendering, a_step(1))
+    again = renderer.render(rendering.rays, a_step(1), like=rendering)
     assert torch.equal(again.t, rendering.t) and torch.equal(again.colored, rendering.colored)
     torch.testing.assert_close(again.rgb, rendering.rgb)
 
@@ -124,7 +123,7 @@ def test_encoder_input_is_asked_for_every_evaluation(field: RadianceField) -> No
 
     renderer = Renderer(field, SamplerConfig(8, 16), Watcher())
     rendering = renderer.render(some_rays(), a_step())
-    renderer.rerender(rendering, a_step())
+    renderer.render(rendering.rays, a_step(), like=rendering)
     assert Watcher.seen == [(6, 8), (6, 16), (6, 24)]
     assert renderer.points == 6 * 48
 

@@ -19,6 +19,7 @@ from nerfreg.rendering.renderer import Renderer
 from nerfreg.runs.recording import StepRecorder, load_recording
 from nerfreg.runs.replay import replay
 from nerfreg.training.guard import Guard
+from nerfreg.training.loss import loss_terms
 from nerfreg.training.trainer import Trainer
 
 pytestmark = pytest.mark.usefixtures("faulty")
@@ -44,18 +45,14 @@ def test_the_step_comes_back_to_the_last_bit(
     trainer, terms, path = saved
     recording = load_recording(path)
     assert recording.faults == ("gradient of faulty",)
-    assert (recording.batch.index, recording.batch.total, recording.batch.fraction) == (
-        2,
-        40,
-        2 / 40,
-    )
-    assert recording.batch.bounds == (trainer.scene.near, trainer.scene.far)
+    position = recording.batch.step
+    assert (position.index, position.total, position.fraction) == (2, 40, 2 / 40)
+    assert position.bounds == (trainer.scene.near, trainer.scene.far)
     for name, weights in trainer.field.state_dict().items():
         assert torch.equal(recording.weights[name], weights)
     hooks = Hooks(recording.config.reg)
-    _, again = recording.batch.render(
-        Renderer(trainer.field, recording.config.sampler, hooks), hooks
-    )
+    batch = recording.batch.again(Renderer(trainer.field, recording.config.sampler, hooks))
+    again = loss_terms(batch.render(), hooks, batch.step)
     assert [term.plugin for term in again] == [term.plugin for term in terms]
     assert len(terms) > 5 and all(
         torch.equal(a.value, b.value) for a, b in zip(again, terms, strict=True)

@@ -12,8 +12,7 @@ from torch import Tensor
 
 from nerfreg.bench.media import color
 from nerfreg.hooks import Rays, Rendering
-from nerfreg.rendering.compositing import composite
-from nerfreg.rendering.renderer import MIN_WEIGHT
+from nerfreg.rendering.compositing import MIN_WEIGHT, composite
 
 PATCH = 4
 """Side of the square patches that the rays form; the rays of a patch share their t."""

@@ -19,7 +19,7 @@ from nerfreg.analysis.tables import Outcome, write_points
 from nerfreg.bench.inputs import INPUTS, Input
 from nerfreg.bench.rivals import RIVALS
 from nerfreg.bench.timing import median_seconds
-from nerfreg.errors import NerfregError
+from nerfreg.errors import NerfregError, NoRendererError
 from nerfreg.hooks import Rendering, Step
 from nerfreg.registry import Hooks, PluginInfo, installed
 
@@ -101,9 +101,7 @@ def measure(info: PluginInfo, sizes: Sizes) -> list[Point]:
 
 
 def _measure(name: str, hooks: Hooks, given: Input, samples: int, sizes: Sizes) -> list[Point]:
-    step = Step(
-        50, 100, 0.5, torch.Generator().manual_seed(0), (given.near, given.far), _refuse, _refuse
-    )
+    step = Step(50, 100, 0.5, torch.Generator().manual_seed(0), (given.near, given.far))
     few, many = given.rendering(sizes.exact_rays, samples), given.rendering(sizes.rays, samples)
 
     def own(rendering: Rendering) -> Float[Tensor, ""]:
@@ -113,7 +111,7 @@ def _measure(name: str, hooks: Hooks, given: Input, samples: int, sizes: Sizes) 
         exact = hooks.reference(name, few, step)
         if not exact or not hooks.losses(few, step):
             return []
-    except _FieldNeededError:
+    except NoRendererError:
         return []
     rivals = [rival for rival in RIVALS.get(name, ()) if samples <= (rival.most_samples or samples)]
     forms = {PLUGIN: own} | {rival.name: rival.loss for rival in rivals}
@@ -150,11 +148,3 @@ def forward_and_backward(
     value = loss(replace(rendering, **leaves))
     gradients = torch.autograd.grad(value, list(leaves.values()), allow_unused=True)
     return value.detach(), dict(zip(leaves, gradients, strict=True))
-
-
-class _FieldNeededError(Exception):
-    """A plugin wanted the rays rendered again, and there is no field."""
-
-
-def _refuse(rendering: Rendering) -> Rendering:
-    raise _FieldNeededError

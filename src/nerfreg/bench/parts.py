@@ -99,8 +99,7 @@ def _seams(trainer: Trainer) -> Iterator[tuple[Any, str, str]]:
     for name in ("raw_density", "density", "color"):
         yield field, name, NETWORKS
     # Whatever is left of rendering when sampling, grid and networks are taken away.
-    for name in ("render", "rerender", "probe"):
-        yield trainer.renderer, name, COMPOSITING
+    yield trainer.renderer, "render", COMPOSITING
     yield loss, "color_error", COLOR_LOSS
     yield trainer.optimizer, "step", OPTIMIZER
     yield trainer.average, "update", AVERAGE

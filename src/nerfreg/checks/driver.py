@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import math
+from contextlib import AbstractContextManager, nullcontext
+from dataclasses import replace
+from typing import Any
 
 import torch
 from jaxtyping import Bool, Float
@@ -10,11 +13,10 @@ from torch import Tensor
 
 from nerfreg.checks.inputs import Inputs
 from nerfreg.field.network import Network
-from nerfreg.hooks import Rendering, Samples, Step
+from nerfreg.hooks import Rays, Rendering, Samples, Step
 from nerfreg.numerics import single
 from nerfreg.registry import Hooks
-from nerfreg.rendering.compositing import integrate, transmittance
-from nerfreg.rendering.renderer import MIN_WEIGHT
+from nerfreg.rendering.compositing import MIN_WEIGHT, assemble, integrate
 
 FEATURES, HIDDEN, GEOMETRY = 4, 8, 3
 REACH = 0.1
@@ -74,16 +76,14 @@ class Driver:
 
     def step(self, fraction: float = 0.5) -> Step:
         """The step at this share of a run of `STEPS`, with randomness that begins anew."""
-        step = Step(
+        return Step(
             index=round(fraction * STEPS),
             total=STEPS,
             fraction=min(fraction, 1.0),
             generator=torch.Generator().manual_seed(0),
             bounds=self.inputs.bounds,
-            rerender=lambda rendering: self._rerender(rendering, step),
-            probe=lambda rendering: self._rerender(rendering, step),
+            renderer=self,
         )
-        return step
 
     def samples(self) -> Samples:
         """What the hooks get for the rays of the case, (R, N) samples."""
@@ -102,7 +102,12 @@ class Driver:
             if math.isnan(excess) or excess > self.broken.get(promise, 0.0):
                 self.broken[promise] = excess
 
-    def _rerender(self, rendering: Rendering, step: Step) -> Rendering:
+    def frozen(self) -> AbstractContextManager[None]:
+        """Gradients by the networks' weights are checked too, and never frozen."""
+        return nullcontext()
+
+    def render(self, rays: Rays, step: Step, like: Rendering | None = None) -> Rendering:
+        """Render the rays of the case again, as the plugin has the networks see them."""
         before = self.samples()
         after = self.hooks.encoder_input(before, step)
         near, far = self.inputs.bounds
@@ -112,7 +117,7 @@ class Driver:
         features = single(self.inputs.features) + torch.cat([moved, later[..., None]], dim=-1)
         raw = self.density_network(features.reshape(-1, FEATURES))
         change = (raw - self._raw_density)[:, 0].view(self.density.shape)
-        colored = rendering.colored
+        colored = (like or self.rendering).colored
         directions, old = single(after.directions), single(before.directions)
         turned = (directions if directions.ndim == 3 else directions[:, None]) - old[:, None]
         turn = turned.expand(*colored.shape, 3)[colored]
@@ -140,27 +145,21 @@ class Driver:
         colored: Tensor,
     ) -> Rendering:
         """Composite, and hand out everything in the precision of the case."""
-        rays, dtype = self.inputs.rays, self.inputs.density.dtype
-        result = integrate(density, single(self.inputs.t_edges))
-        ray, sample = colored.nonzero(as_tuple=True)
-        rgb = colors.new_zeros(len(rays), 3).index_add(
-            0, ray, result.weights[ray, sample][:, None] * colors
+        made = assemble(
+            self.inputs.rays,
+            single(self.inputs.t),
+            single(self.inputs.t_edges),
+            density,
+            lambda ray, sample: colors,
+            colored,
         )
-        if rays.background is not None:
-            rgb = rgb + transmittance(result.tau)[:, None] * single(rays.background)
-        return Rendering(
-            rays=rays,
-            t_edges=self.inputs.t_edges,
-            t=self.inputs.t,
-            density=density.to(dtype),
-            tau=result.tau.to(dtype),
-            log_transmittance=result.log_transmittance.to(dtype),
-            weights=result.weights.to(dtype),
-            opacity=result.opacity.to(dtype),
-            depth=result.depth.to(dtype),
-            rgb=rgb.to(dtype),
-            colored=colored,
-        )
+        dtype = self.inputs.density.dtype
+        cast: dict[str, Any] = {
+            name: part.to(dtype)
+            for name, part in vars(made).items()
+            if isinstance(part, Tensor) and part.is_floating_point()
+        }
+        return replace(made, **cast)
 
 
 def make_network(name: str, widths: tuple[int, ...], hooks: Hooks) -> Network:

@@ -7,13 +7,18 @@ logarithm or through expm1, never through 1 - x.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor
 
+from nerfreg.hooks import Rays, Rendering
 from nerfreg.numerics import MIN_OPACITY, single
+
+MIN_WEIGHT = 1e-4
+"""Samples below this weight have no visible colour; the colour network does not run for them."""
 
 
 @dataclass
@@ -68,3 +73,48 @@ def composite(
 def transmittance(tau: Float[Tensor, "rays samples"]) -> Float[Tensor, " rays"]:
     """The share of light that passes a whole ray."""
     return torch.exp(-tau.sum(dim=1))
+
+
+def assemble(
+    rays: Rays,
+    t: Float[Tensor, "rays samples"],
+    t_edges: Float[Tensor, "rays edges"],
+    density: Float[Tensor, "rays samples"],
+    color: Callable[[Tensor, Tensor], Float[Tensor, "colored 3"]],
+    colored: Bool[Tensor, "rays samples"] | None = None,
+) -> Rendering:
+    """Make a Rendering of samples; colours are evaluated only where they can be seen.
+
+    This is the one place where a Rendering is made, for training and for checks and benches alike.
+
+    Args:
+        rays: R rays.
+        t: (R, N) where the field was evaluated.
+        t_edges: (R, N+1) borders of the intervals around them, ascending.
+        density: (R, N) per world unit.
+        color: Called with the ray and the sample index of each coloured sample, (K,) each; returns
+            their colours (K, 3).
+        colored: (R, N) which samples get a colour; None: those of a weight above `MIN_WEIGHT`.
+    """
+    result = integrate(density, t_edges)
+    if colored is None:
+        colored = result.weights.detach() > MIN_WEIGHT
+    ray, sample = colored.nonzero(as_tuple=True)
+    colors = color(ray, sample)
+    weights = result.weights[ray, sample]
+    rgb = colors.new_zeros(len(rays), 3).index_add(0, ray, weights[:, None] * colors)
+    if rays.background is not None:
+        rgb = rgb + transmittance(result.tau)[:, None] * single(rays.background)
+    return Rendering(
+        rays=rays,
+        t_edges=t_edges,
+        t=t,
+        density=density,
+        tau=result.tau,
+        log_transmittance=result.log_transmittance,
+        weights=result.weights,
+        opacity=result.opacity,
+        depth=result.depth,
+        rgb=rgb,
+        colored=colored,
+    )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import AbstractContextManager
 from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import torch
@@ -12,12 +13,9 @@ from nerfreg.field.directions import WIDTH, spherical_harmonics
 from nerfreg.field.grid_layout import FEATURES
 from nerfreg.field.radiance_field import RadianceField
 from nerfreg.hooks import Rays, Rendering, Samples, Step
-from nerfreg.rendering.compositing import integrate, transmittance
+from nerfreg.rendering.compositing import assemble, integrate
 from nerfreg.rendering.config import SamplerConfig
 from nerfreg.rendering.sampling import edges_between, importance, merge, stratified
-
-MIN_WEIGHT = 1e-4
-"""Samples below this weight have no visible colour; the colour network does not run for them."""
 
 
 @runtime_checkable
@@ -43,15 +41,33 @@ class Renderer:
         self.hooks = hooks
         self.points = 0
 
-    def render(self, rays: Rays, step: Step) -> Rendering:
-        """Coarse samples first, importance samples where their weights are, all composited together.
+    def render(self, rays: Rays, step: Step, like: Rendering | None = None) -> Rendering:
+        """Render rays through the hooks.
 
-        Each point is evaluated once. Rays of one group get the same t, drawn from the mean of the group's weights.
+        Without `like`, coarse samples come first, then importance samples where their weights are,
+        and all are composited together: each point is evaluated once. Rays of one group get the
+        same t, drawn from the mean of the group's weights.
+
+        With `like`, its t is taken over and the same samples are coloured, by one call of the
+        density network with all R * N points in row-major order and one of the colour network.
+
+        Args:
+            rays: R rays.
+            step: The step that they belong to.
+            like: An earlier rendering of these rays.
         """
+        if like is not None:
+            samples = self._encode(rays, like.t, step)
+            evaluation = self._evaluate(samples)
+            return self._composite(rays, like.t, like.t_edges, evaluation, samples, like.colored)
         with self.field.grid.one_gradient():
-            return self._render(rays, step)
+            return self._sample_and_render(rays, step)
 
-    def _render(self, rays: Rays, step: Step) -> Rendering:
+    def frozen(self) -> AbstractContextManager[None]:
+        """Within this context, nothing rendered has gradients with respect to the field's weights."""
+        return self.field.frozen()
+
+    def _sample_and_render(self, rays: Rays, step: Step) -> Rendering:
         generator = step.generator if self.jitter else None
         near, far = self.hooks.ray_bounds(rays, step)
         near, far = _shared(near, rays.groups, "amin"), _shared(far, rays.groups, "amax")
@@ -75,22 +91,6 @@ class Renderer:
         both = first.followed_by(self._evaluate(samples)).ordered(order)
         return self._composite(rays, t, edges_between(t, ray_near, ray_far), both, samples)
 
-    def rerender(self, rendering: Rendering, step: Step) -> Rendering:
-        """The same rays at the same t, with colours for the same samples.
-
-        One call of the density network with all R * N points in row-major order, then one of the colour network.
-        """
-        samples = self._encode(rendering.rays, rendering.t, step)
-        evaluation = self._evaluate(samples)
-        return self._composite(
-            rendering.rays, rendering.t, rendering.t_edges, evaluation, samples, rendering.colored
-        )
-
-    def probe(self, rendering: Rendering, step: Step) -> Rendering:
-        """The same as `rerender`, without gradients by the field's weights."""
-        with self.field.frozen():
-            return self.rerender(rendering, step)
-
     def _encode(self, rays: Rays, t: Tensor, step: Step) -> Samples:
         samples = Samples(
             positions=rays.origins[:, None] + rays.directions[:, None] * t[..., None],
@@ -101,52 +101,33 @@ class Renderer:
         )
         return self.hooks.encoder_input(samples, step)
 
-    def _evaluate(self, samples: Samples) -> Evaluation:
+    def _evaluate(self, samples: Samples) -> FieldValues:
         points = samples.t.numel()
         self.points += points
         raw = self.field.raw_density(samples.positions.reshape(-1, 3), samples.density_features)
         rows = torch.arange(points, device=raw.device).view(samples.t.shape)
-        return Evaluation(self.field.density(raw).view(samples.t.shape), raw, rows)
+        return FieldValues(self.field.density(raw).view(samples.t.shape), raw, rows)
 
     def _composite(
         self,
         rays: Rays,
         t: Float[Tensor, "rays samples"],
         t_edges: Float[Tensor, "rays edges"],
-        evaluation: Evaluation,
+        evaluation: FieldValues,
         samples: Samples,
         colored: Bool[Tensor, "rays samples"] | None = None,
     ) -> Rendering:
-        """Composite, with colours for the samples that have a visible one, or for those that are asked for."""
-        result = integrate(evaluation.density, t_edges)
-        if colored is None:
-            colored = result.weights.detach() > MIN_WEIGHT
-        ray, sample = colored.nonzero(as_tuple=True)
-        color = self.field.color(
-            _Pick.apply(evaluation.raw, evaluation.rows[ray, sample]),
-            _harmonics(samples.directions, ray, sample),
-            samples.color_features,
-        )
-        weights = result.weights[ray, sample]
-        rgb = color.new_zeros(len(rays), 3).index_add(0, ray, weights[:, None] * color)
-        if rays.background is not None:
-            rgb = rgb + transmittance(result.tau)[:, None] * rays.background
-        return Rendering(
-            rays=rays,
-            t_edges=t_edges,
-            t=t,
-            density=evaluation.density,
-            tau=result.tau,
-            log_transmittance=result.log_transmittance,
-            weights=result.weights,
-            opacity=result.opacity,
-            depth=result.depth,
-            rgb=rgb,
-            colored=colored,
-        )
+        def color(ray: Tensor, sample: Tensor) -> Float[Tensor, "colored 3"]:
+            return self.field.color(
+                _Pick.apply(evaluation.raw, evaluation.rows[ray, sample]),
+                _harmonics(samples.directions, ray, sample),
+                samples.color_features,
+            )
+
+        return assemble(rays, t, t_edges, evaluation.density, color, colored)
 
 
-class Evaluation(NamedTuple):
+class FieldValues(NamedTuple):
     """The field at the samples of each ray.
 
     density: (R, N). raw: (K, 1 + geometry) outputs of the density network. rows: (R, N) which of them is a sample's.
@@ -156,17 +137,19 @@ class Evaluation(NamedTuple):
     raw: Float[Tensor, "evaluated out"]
     rows: Int[Tensor, "rays samples"]
 
-    def followed_by(self, other: Evaluation) -> Evaluation:
+    def followed_by(self, other: FieldValues) -> FieldValues:
         """Both, the other's samples behind these."""
-        return Evaluation(
+        return FieldValues(
             torch.cat([self.density, other.density], dim=1),
             torch.cat([self.raw, other.raw]),
             torch.cat([self.rows, other.rows + len(self.raw)], dim=1),
         )
 
-    def ordered(self, order: Int[Tensor, "rays samples"]) -> Evaluation:
+    def ordered(self, order: Int[Tensor, "rays samples"]) -> FieldValues:
         """The samples of each ray in another order."""
-        return Evaluation(_Permute.apply(self.density, order), self.raw, self.rows.gather(1, order))
+        return FieldValues(
+            _Permute.apply(self.density, order), self.raw, self.rows.gather(1, order)
+        )
 
 
 class _Permute(torch.autograd.Function):

@@ -13,10 +13,9 @@ from nerfreg.field.directions import spherical_harmonics
 from nerfreg.field.radiance_field import RadianceField
 from nerfreg.field.workers import in_shares
 from nerfreg.rays.clipping import clip_to_box
-from nerfreg.rendering.compositing import integrate, transmittance
+from nerfreg.rendering.compositing import MIN_WEIGHT, integrate, transmittance
 from nerfreg.rendering.config import SamplerConfig
 from nerfreg.rendering.occupancy import OccupancyGrid
-from nerfreg.rendering.renderer import MIN_WEIGHT
 from nerfreg.rendering.sampling import edges_between, equal_shares, stratified
 from nerfreg.scenes.cameras import Cameras
 from nerfreg.scenes.scene import Scene

@@ -19,9 +19,10 @@ from nerfreg.config.schema import Config
 from nerfreg.errors import NerfregError
 from nerfreg.field import RadianceField
 from nerfreg.files import atomic
-from nerfreg.hooks import Rays
+from nerfreg.hooks import Rays, Step
+from nerfreg.rays.batch import Batch
 from nerfreg.runs.files import RECORDED_STEPS
-from nerfreg.training.faults import Batch, Fault
+from nerfreg.training.faults import Fault
 
 FORMAT = "nerfreg-step-1"
 KEPT = 3
@@ -50,7 +51,7 @@ class StepRecorder:
         self, batch: Batch, field: RadianceField, box: Float[Tensor, "2 3"], faults: Sequence[Fault]
     ) -> Path:
         """Save one step, with the weights of the field as they are."""
-        path = self._folder / f"step_{batch.index:06d}.safetensors"
+        path = self._folder / f"step_{batch.step.index:06d}.safetensors"
         _write(path, self._config, batch, field.state_dict(), box, faults)
         self._drop_all_but(KEPT)
         return path
@@ -73,13 +74,9 @@ def _write(
         f"rays.{name}": part for name, part in vars(batch.rays).items() if isinstance(part, Tensor)
     }
     tensors = {**rays, **{f"field.{name}": tensor for name, tensor in weights.items()}}
-    tensors |= {"box": box, "chance": batch.chance}
-    step = {
-        "index": batch.index,
-        "total": batch.total,
-        "fraction": batch.fraction,
-        "bounds": batch.bounds,
-    }
+    # Files of format 1 call the state of the generator so.
+    tensors |= {"box": box, "chance": batch.rng_state}
+    step = {key: getattr(batch.step, key) for key in ("index", "total", "fraction", "bounds")}
     metadata = {
         "format": FORMAT,
         "config": OmegaConf.to_yaml(OmegaConf.structured(config)),
@@ -114,11 +111,12 @@ def load_recording(path: Path) -> Recording:
     step = json.loads(metadata["step"])
     rays = Rays(**{field.name: tensors.get(f"rays.{field.name}") for field in fields(Rays)})  # type: ignore[arg-type]
     low, high = step["bounds"]
+    generator = torch.Generator()
+    generator.set_state(tensors["chance"])
+    position = (step["index"], step["total"], step["fraction"])
     return Recording(
         config=restored(saved, str(path)),
-        batch=Batch(
-            rays, step["index"], step["total"], step["fraction"], (low, high), tensors["chance"]
-        ),
+        batch=Batch.of(rays, Step(*position, generator, (low, high))),
         weights={
             name.removeprefix("field."): part
             for name, part in tensors.items()

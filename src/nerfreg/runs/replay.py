@@ -18,7 +18,7 @@ from nerfreg.registry import Hooks, Term
 from nerfreg.rendering.renderer import Renderer
 from nerfreg.runs.recording import load_recording
 from nerfreg.training.faults import Fault, faults_of
-from nerfreg.training.loss import label
+from nerfreg.training.loss import label, loss_terms
 
 SHOWN = 5
 """Rays that are listed."""
@@ -41,11 +41,15 @@ def replay(path: Path) -> int:
         raise NerfregError(
             f"{path}: its weights do not fit the plugins as they are now: {reason}"
         ) from error
-    rendering, terms = batch.render(Renderer(field, config.sampler, hooks), hooks)
+    again = batch.again(Renderer(field, config.sampler, hooks))
+    rendering = again.render()
+    terms = loss_terms(rendering, hooks, again.step)
     faults = faults_of(rendering, terms, field)
 
     console = Console(markup=False, highlight=False, soft_wrap=True)
-    console.print(f"step {batch.index} of {batch.total}, {len(batch.rays)} rays, left out for")
+    console.print(
+        f"step {batch.step.index} of {batch.step.total}, {len(batch.rays)} rays, left out for"
+    )
     console.print(f"  {', '.join(recording.faults) or 'something that was not found'}")
     console.print(_term_table(terms, faults))
     for fault in faults:

@@ -9,8 +9,9 @@ from dataclasses import dataclass, fields
 import torch
 from torch import Tensor, nn
 
-from nerfreg.hooks import Rays, Rendering, Step
+from nerfreg.hooks import Rendering
 from nerfreg.numerics import not_finite
+from nerfreg.rays.batch import Batch
 from nerfreg.registry import Hooks, Term
 from nerfreg.rendering.renderer import Renderer
 from nerfreg.training.loss import label, loss_terms, total_loss
@@ -25,37 +26,6 @@ class Fault:
 
     def __str__(self) -> str:
         return self.what
-
-
-@dataclass(frozen=True)
-class Batch:
-    """The rays of one step, and what is needed to render them as they were rendered.
-
-    chance: state of the generator when rendering began. The rest is that of `Step`.
-    """
-
-    rays: Rays
-    index: int
-    total: int
-    fraction: float
-    bounds: tuple[float, float]
-    chance: Tensor
-
-    def render(self, renderer: Renderer, hooks: Hooks) -> tuple[Rendering, list[Term]]:
-        """Render again, from a generator of its own, with the terms of the loss."""
-        generator = torch.Generator()
-        generator.set_state(self.chance)
-        step = Step(
-            self.index,
-            self.total,
-            self.fraction,
-            generator,
-            self.bounds,
-            rerender=lambda rendering: renderer.rerender(rendering, step),
-            probe=lambda rendering: renderer.probe(rendering, step),
-        )
-        rendering = renderer.render(self.rays, step)
-        return rendering, loss_terms(rendering, hooks, step)
 
 
 def usable(total: Tensor, parameters: Iterable[nn.Parameter]) -> bool:
@@ -119,7 +89,10 @@ def find_faults(
 
     Renders the batch again; plugins see it a second time.
     """
-    faults = [*faults_of(*batch.render(renderer, hooks), renderer.field), *value_faults(terms)]
+    again = batch.again(renderer)
+    rendering = again.render()
+    found = faults_of(rendering, loss_terms(rendering, hooks, again.step), renderer.field)
+    faults = [*found, *value_faults(terms)]
     return list({fault.what: fault for fault in faults}.values())
 
 

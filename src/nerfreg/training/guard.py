@@ -12,9 +12,10 @@ from torch import Tensor
 
 from nerfreg.errors import NonFiniteError
 from nerfreg.field import RadianceField
+from nerfreg.rays.batch import Batch
 from nerfreg.registry import Hooks, Term
 from nerfreg.rendering.renderer import Renderer
-from nerfreg.training.faults import Batch, Fault, find_faults
+from nerfreg.training.faults import Fault, find_faults
 
 LIMIT = 3
 """So many steps in a row that cannot be used end the run."""
@@ -66,7 +67,7 @@ class Guard:
         self.skipped += 1
         self._in_a_row += 1
         faults = find_faults(batch, terms, renderer, hooks)
-        line = f"step {batch.index} left out: {_in_words(faults)}"
+        line = f"step {batch.step.index} left out: {_in_words(faults)}"
         advice = "a smaller optim.lr may help"
         if self._recorder is not None:
             path = self._recorder.save(batch, renderer.field, box, faults)

@@ -8,6 +8,7 @@ from nerfreg.errors import NerfregError
 from nerfreg.field import FieldConfig, RadianceField
 from nerfreg.hooks import Step
 from nerfreg.rays import RayBatches
+from nerfreg.rays.batch import Batch
 from nerfreg.registry import Hooks, Term
 from nerfreg.rendering.config import SamplerConfig
 from nerfreg.rendering.renderer import Renderer
@@ -15,7 +16,7 @@ from nerfreg.scenes.scene import Scene
 from nerfreg.training.averaging import MovingAverage
 from nerfreg.training.budget import Budget
 from nerfreg.training.config import OptimConfig, TrainConfig
-from nerfreg.training.faults import Batch, usable
+from nerfreg.training.faults import usable
 from nerfreg.training.guard import Guard
 from nerfreg.training.loss import loss_terms, total_loss
 
@@ -80,9 +81,8 @@ class Trainer:
         """
         with self.budget.spend():
             step = self._step()
-            rays = self.batches.draw(self.hooks.needs(step))
-            chance = self.generator.get_state()
-            terms = loss_terms(self.renderer.render(rays, step), self.hooks, step)
+            batch = Batch.of(self.batches.draw(self.hooks.needs(step)), step)
+            terms = loss_terms(batch.render(), self.hooks, step)
             total = total_loss(terms)
             self.optimizer.zero_grad(set_to_none=True)
             total.backward()
@@ -94,7 +94,6 @@ class Trainer:
             self.guard.passed()
         else:
             self.optimizer.zero_grad(set_to_none=True)
-            batch = Batch(rays, step.index, step.total, step.fraction, step.bounds, chance)
             again = Renderer(self.field, self.renderer.sampler, self.hooks)
             self.guard.refused(batch, terms, again, self.hooks, self.scene.box)
         return terms
@@ -107,13 +106,11 @@ class Trainer:
         self.average.update()
 
     def _step(self) -> Step:
-        step = Step(
+        return Step(
             index=self.budget.step,
             total=self.budget.total,
             fraction=self.budget.fraction,
             generator=self.generator,
             bounds=(self.scene.near, self.scene.far),
-            rerender=lambda rendering: self.renderer.rerender(rendering, step),
-            probe=lambda rendering: self.renderer.probe(rendering, step),
+            renderer=self.renderer,
         )
-        return step

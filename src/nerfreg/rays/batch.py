@@ -1,0 +1,52 @@
+"""The rays of one step, and what is needed to render them once more exactly as they were rendered."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import torch
+from jaxtyping import UInt8
+from torch import Tensor
+
+from nerfreg.errors import NoRendererError
+from nerfreg.hooks import RayRenderer, Rays, Rendering, Step
+
+
+@dataclass(frozen=True)
+class Batch:
+    """Rays with the step that they belong to.
+
+    Attributes:
+        rays: The rays.
+        step: Where the run stands.
+        rng_state: State of the step's generator before the rays are rendered.
+    """
+
+    rays: Rays
+    step: Step
+    rng_state: UInt8[Tensor, " bytes"]
+
+    @classmethod
+    def of(cls, rays: Rays, step: Step) -> Batch:
+        """Return a batch of these rays, with the state that the step's generator has now."""
+        return cls(rays, step, step.generator.get_state())
+
+    def render(self) -> Rendering:
+        """Render the rays.
+
+        Raises:
+            NoRendererError: The step has no renderer.
+        """
+        if self.step.renderer is None:
+            raise NoRendererError("this batch has no renderer: give it one by `again`")
+        return self.step.renderer.render(self.rays, self.step)
+
+    def again(self, renderer: RayRenderer) -> Batch:
+        """Return the same batch for another renderer.
+
+        Its generator is a new one in the state that the first had, so that rendering it neither
+        depends on what has been drawn since nor changes it.
+        """
+        generator = torch.Generator()
+        generator.set_state(self.rng_state)
+        return replace(self, step=replace(self.step, generator=generator, renderer=renderer))
