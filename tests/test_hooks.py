@@ -1,73 +1,13 @@
-"""The shape of the source tree: who may import whom, and what a window and a union mean."""
+"""Names that plugins import, and what a window and a union mean."""
 
 from __future__ import annotations
 
-import ast
-import subprocess
-import sys
 from dataclasses import dataclass
-from pathlib import Path
 
 import pytest
 
 import nerfreg
 from nerfreg.hooks import Needs, Regularizer
-
-SOURCE = Path(nerfreg.__file__).parent
-ROOMS = (
-    "scenes",
-    "rays",
-    "field",
-    "rendering",
-    "training",
-    "evaluation",
-    "reports",
-    "checks",
-    "bench",
-    "prune",
-)
-"""In the order in which data passes through them."""
-
-
-def imported(path: Path) -> set[str]:
-    """Modules that a file imports, anywhere in it."""
-    names: set[str] = set()
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-        if isinstance(node, ast.Import):
-            names |= {alias.name for alias in node.names}
-        elif isinstance(node, ast.ImportFrom):
-            assert node.level == 0, f"{path}: relative import"
-            names |= {str(node.module), *(f"{node.module}.{alias.name}" for alias in node.names)}
-    return names
-
-
-def test_core_imports_no_plugin() -> None:
-    for path in SOURCE.rglob("*.py"):
-        assert not [name for name in imported(path) if name.startswith("nerfreg_plugins")], path
-
-
-def test_rooms_import_only_rooms_before_them() -> None:
-    for position, room in enumerate(ROOMS):
-        later = tuple(f"nerfreg.{name}" for name in ROOMS[position + 1 :])
-        for path in (SOURCE / room).rglob("*.py"):
-            assert not [name for name in imported(path) if name.startswith(later)], path
-
-
-def test_rooms_do_not_know_the_command_line() -> None:
-    # the benches and the study compose configurations themselves, as runs do
-    for room in ROOMS[: ROOMS.index("bench")]:
-        for path in (SOURCE / room).rglob("*.py"):
-            assert not imported(path) & {
-                "nerfreg.cli",
-                "nerfreg.cli.launch",
-                "nerfreg.config",
-                "nerfreg.runs",
-            }, path
-
-
-def test_package_is_imported_without_torch(environment: dict[str, str]) -> None:
-    code = "import sys, nerfreg, nerfreg.cli; sys.exit('torch' in sys.modules or 'hydra' in sys.modules)"
-    assert subprocess.run([sys.executable, "-c", code], env=environment).returncode == 0
 
 
 def test_names_for_plugins_are_found_lazily() -> None:
