@@ -1,10 +1,22 @@
-"""Few-shot NeRF regularization as plugins. The names below are all that a plugin needs."""
+"""Few-shot NeRF regularization as plugins.
+
+What the author of a plugin or of a script imports:
+
+- the contract: `Regularizer`, from which every plugin derives; `hookimpl`, which marks its hooks;
+- what passes through the hooks: `Needs`, `Rays`, `Samples`, `Rendering`, `Step`, and the training
+  views as `Photographs`;
+- `NerfregError`, the one exception that a user is meant to read.
+
+Everything else is imported from the module that defines it, such as
+`nerfreg.config.compose.compose` and `nerfreg.runs.train.train` to run a training from a script.
+"""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    # Types for checkers; at run time `__getattr__` finds these names when they are used.
     from nerfreg.errors import NerfregError
     from nerfreg.hooks import Needs, Rays, Regularizer, Rendering, Samples, Step, hookimpl
     from nerfreg.scenes.scene import Photographs

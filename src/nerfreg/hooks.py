@@ -1,10 +1,12 @@
 """The hook points, and the few dataclasses that pass through them.
 
-This is the page to read before writing a regularizer. A plugin is a dataclass that derives from `Regularizer`; its
-fields are its configuration (typed, with defaults), its methods marked `@hookimpl` are called by the core at the
-points specified in `HookSpecs`. R is the number of rays of a step, N the number of samples on each ray.
+This is the page to read before writing a regularizer. A plugin is a dataclass that derives from
+`Regularizer`; its fields are its configuration (typed, with defaults), and the core calls its
+methods marked `@hookimpl` at the points specified in `HookSpecs`. R is the number of rays of a
+step, N the number of samples on each ray.
 
-A plugin that transforms something writes a wrapper around what the core (or the plugin before it) returns:
+A plugin that transforms something writes a wrapper around what the core, or the plugin before it,
+returns:
 
     @hookimpl(wrapper=True)
     def nerfreg_ray_bounds(self, rays, step):
@@ -36,22 +38,27 @@ hookimpl = pluggy.HookimplMarker(PROJECT)
 
 
 NEIGHBORS = ("none", "patch", "extra")
-"""Where adjacent pixels come from; of two wishes the later in this list wins."""
+"""Where adjacent pixels come from. Of two requests the one later in this list wins."""
 
 
 @dataclass(frozen=True)
 class Needs:
-    """What a plugin wants rendered beside random training pixels. The union over all active plugins is rendered.
+    """What a plugin wants rendered beside random training pixels.
 
-    patch_size: side S of square pixel patches among the training rays (0: none); the union takes the largest.
-    patch_fraction: the share of the training rays that lie in those patches.
-    neighbors: pairs of horizontally or vertically adjacent pixels, sampled at the same t. `"patch"` pairs rays of the
-        patches (which are then at least 2 x 2) and costs no extra ray; `"extra"` renders one more ray, without a
-        photograph behind it, for every training ray that lies in no patch.
-    unseen_rays: rays from poses between the training views, as a share of a step's rays. They take the place of
-        training rays, so that a step costs no more.
-    unseen_patches: rays in patches of that side from such poses, likewise a share of a step's rays. They count as
-        unseen rays: of both shares the larger is rendered.
+    The union over all active plugins is rendered.
+
+    Attributes:
+        patch_size: Side S of square pixel patches among the training rays, 0 for none; the union
+            takes the largest.
+        patch_fraction: Share of the training rays that lie in those patches.
+        neighbors: Pairs of horizontally or vertically adjacent pixels, sampled at the same t.
+            `"patch"` pairs rays of the patches (which are then at least 2 x 2) and costs no extra
+            ray; `"extra"` renders one more ray, without a photograph behind it, for every training
+            ray that lies in no patch.
+        unseen_rays: Rays from poses between the training views, as a share of a step's rays. They
+            take the place of training rays, so that a step costs no more.
+        unseen_patches: Rays in patches of that side from such poses, likewise a share of a step's
+            rays. They count as unseen rays: of both shares the larger is rendered.
     """
 
     patch_size: int = 0
@@ -72,21 +79,30 @@ class Needs:
 
 @dataclass
 class Rays:
-    """The rays of one step. Rays 0..S-1 have a photograph behind them; the rest (extra neighbours, unseen views) not.
+    """The rays of one step.
 
-    origins, directions: (R, 3) in world units; directions have unit length, so t is a distance.
-    near, far: (R,) the part of each ray that is sampled.
-    targets: (S, 3) colours in [0, 1].
-    background: (R, 3) what shines through where opacity is below 1; None where the photographs have no alpha.
-    patches: (P, S, S) ray indices; rows run down the image, columns to the right. None if nobody needs patches.
-    neighbors: (M, 2) ray indices of adjacent pixels, first the ray, then its neighbour. Both share their t.
-    unseen: (U,) ray indices from unseen poses. unseen_patches: (Q, S, S) those of them that form patches,
-        or None.
-    groups: (R,) rays with the same number share their t; None if no rays do.
-    known_depth: (S, 2) between which distances along the ray a plugin knew before training that there is something;
-        NaN where it did not, None if nobody knew anything.
-    target_weights: (S,) what each target counts in the colour error, 1 on average; a patch counts as much as one random
-        pixel, since its pixels say nearly the same. None where all are equal.
+    Rays 0 to S-1 have a photograph behind them; the rest (extra neighbours, unseen views) do not.
+
+    Attributes:
+        origins: (R, 3) in world units.
+        directions: (R, 3) of unit length, so that t is a distance.
+        near: (R,) start of the part of each ray that is sampled.
+        far: (R,) its end.
+        targets: (S, 3) colours in [0, 1].
+        background: (R, 3) what shines through where opacity is below 1; None where the photographs
+            have no alpha.
+        patches: (P, S, S) ray indices; rows run down the image, columns to the right. None if no
+            plugin needs patches.
+        neighbors: (M, 2) ray indices of adjacent pixels, first the ray, then its neighbour. Both
+            share their t.
+        unseen: (U,) indices of rays from unseen poses, or None.
+        unseen_patches: (Q, S, S) those of them that form patches, or None.
+        groups: (R,) rays with the same number share their t; None if no rays do.
+        target_weights: (S,) what each target counts in the colour error, 1 on average; None where
+            all are equal. A patch counts as much as one random pixel, since its pixels are nearly
+            redundant.
+        known_depth: (S, 2) interval of distance along the ray in which a plugin knew a surface
+            before training; NaN where it did not, None if no plugin knew anything.
     """
 
     origins: Float[Tensor, "rays 3"]
@@ -111,12 +127,16 @@ class Rays:
 class Samples:
     """What the encoders are about to see.
 
-    positions: (R, N, 3) world units. directions: (R, 3), or (R, N, 3) if a plugin made them differ along a ray.
-    t: (R, N) distances at which the field is evaluated.
-    density_features: how many of the hash grid's features are alive, counted from the coarsest; None means all.
-        Feature i is multiplied by clip(density_features - i, 0, 1); dead levels are never evaluated.
-    color_features: the same for the direction features of the colour network.
-    density_width, color_width: how many features there are, the grid's and the direction encoding's. Set by the core.
+    Attributes:
+        positions: (R, N, 3) in world units.
+        directions: (R, 3), or (R, N, 3) if a plugin made them differ along a ray.
+        t: (R, N) distances at which the field is evaluated.
+        density_features: How many of the hash grid's features are alive, counted from the coarsest;
+            None for all. Feature i is multiplied by clip(density_features - i, 0, 1); levels that
+            are silenced are never evaluated.
+        color_features: The same for the direction features of the colour network.
+        density_width: How many features the grid has. Set by the core.
+        color_width: How many features the direction encoding has. Set by the core.
     """
 
     positions: Float[Tensor, "rays samples 3"]
@@ -132,13 +152,18 @@ class Samples:
 class Rendering:
     """What compositing made of the rays. Plugins read it and never write into it.
 
-    rays: the rays that were rendered.
-    t_edges: (R, N+1) interval borders, ascending. t: (R, N) where the field was evaluated, inside the intervals.
-    tau: (R, N) optical thickness of each interval, density times length.
-    log_transmittance: (R, N) log of the light that reaches each interval.
-    weights: (R, N) the share of the ray's colour that each interval gives.
-    opacity, depth: (R,) sum of weights; expected distance, `far` for empty rays. rgb: (R, 3) with background.
-    density: (R, N) per world unit. colored: (R, N) the samples whose colour was evaluated (weight > 1e-4).
+    Attributes:
+        rays: The rays that were rendered.
+        t_edges: (R, N+1) borders of the intervals, ascending.
+        t: (R, N) where the field was evaluated, inside the intervals.
+        density: (R, N) per world unit.
+        tau: (R, N) optical thickness of each interval, density times length.
+        log_transmittance: (R, N) logarithm of the light that reaches each interval.
+        weights: (R, N) share of each interval in the ray's colour.
+        opacity: (R,) sum of weights.
+        depth: (R,) expected distance; `far` for empty rays.
+        rgb: (R, 3) with background.
+        colored: (R, N) samples whose colour was evaluated (weight above 1e-4).
     """
 
     rays: Rays
@@ -155,17 +180,17 @@ class Rendering:
 
     @cached_property
     def alphas(self) -> Float[Tensor, "rays samples"]:
-        """1 - exp(-tau), without cancellation."""
+        """Opacity of each interval, 1 - exp(-tau), without cancellation."""
         return -torch.expm1(-self.tau)
 
     @cached_property
     def log_weights(self) -> Float[Tensor, "rays samples"]:
-        """log T + log(1 - exp(-tau)); -inf where tau is 0. True where the weight itself underflows."""
+        """log T + log(1 - exp(-tau)); -inf where tau is 0, finite where the weight underflows."""
         return self.log_transmittance + log_alpha(self.tau)
 
     @property
     def visible(self) -> Bool[Tensor, " rays"]:
-        """Rays that hit something: opacity of at least `MIN_OPACITY`."""
+        """(R,) rays that hit something: opacity of at least `MIN_OPACITY`."""
         return self.opacity.detach() >= MIN_OPACITY
 
 
@@ -208,7 +233,7 @@ class Step:
     renderer: RayRenderer | None = None
 
     def rerender(self, rendering: Rendering) -> Rendering:
-        """Render the same rays at the same t through the hooks again, with the same samples coloured.
+        """Render the same rays at the same t through the hooks again; the same samples are coloured.
 
         Raises:
             NoRendererError: There is no renderer.
@@ -237,12 +262,18 @@ class Step:
 class Regularizer:
     """Base of all plugins: a dataclass whose fields are the plugin's configuration.
 
-    weight: factor of every term that `nerfreg_loss` returns; 0 switches the plugin's loss off at no cost.
-    start, end: when the plugin is active: a step (integer) or a fraction of the budget (0.0 to 1.0).
+    Three class variables are no configuration. `by_layout` maps a camera layout ("orbit" or
+    "forward") to defaults that differ there, such as `{"forward": {"weight": 2e-5}}`; they hold
+    wherever the user says nothing. `conflicts` names plugins that cannot be active in the same
+    run. `cite` says what to cite: BibTeX entries, or the keys, separated by commas, of entries in a
+    file `references.bib` of the plugin's package.
 
-    Class attributes, not configuration: `by_layout` maps how the cameras stand ("orbit" or "forward") to defaults
-    that differ there, e.g. `{"forward": {"weight": 2e-5}}`; they hold wherever the user says nothing. `conflicts`
-    names plugins that cannot be active in the same run. `cite` is a BibTeX entry.
+    Attributes:
+        weight: Factor of every term that `nerfreg_loss` returns; 0 switches the plugin off at no
+            cost.
+        start: When the plugin becomes active: a step (integer) or a fraction of the budget (0.0 to
+            1.0).
+        end: When it ceases to be active, likewise.
     """
 
     weight: float = 1.0
@@ -255,11 +286,14 @@ class Regularizer:
 
     @property
     def scale_free(self) -> bool:
-        """Whether the loss stays the same when all distances grow by a factor; `nerfreg check` holds a plugin to it."""
+        """Whether the loss stays the same when all distances grow by a factor.
+
+        `nerfreg check` verifies the claim.
+        """
         return False
 
     def active(self, step: Step) -> bool:
-        """Whether `step` lies in [start, end); the last step of a run belongs to `end: 1.0`."""
+        """Return whether `step` lies in [start, end); the last step belongs to `end: 1.0`."""
         begun = (
             step.index >= self.start if isinstance(self.start, int) else step.fraction >= self.start
         )
@@ -269,7 +303,7 @@ class Regularizer:
 
 
 class HookSpecs:
-    """All hooks, in the order in which a step calls them, and two that only `nerfreg check` calls."""
+    """All hooks, in the order in which a run calls them; `nerfreg check` alone calls the last two."""
 
     @hookspec(firstresult=True)
     def nerfreg_layer(
@@ -277,39 +311,69 @@ class HookSpecs:
     ) -> nn.Module | None:
         """Make one layer of a network, when the field is built.
 
-        network: "density" or "color". index: from 0, the layer nearest the input.
-        activation: "relu" for hidden layers, "none" for the last; the layer applies it itself.
-        Returns a module from (points, in_features) to (points, out_features). An `AffineLayer` tells its effective
-        weight and bias and runs in the fused kernels; any other module runs through autograd.
         The core makes a plain linear layer without bias.
+
+        Args:
+            network: "density" or "color".
+            index: Number of the layer, from 0, the layer nearest the input.
+            in_features: Width of its input.
+            out_features: Width of its output.
+            activation: "relu" for hidden layers, "none" for the last; the layer applies it itself.
+
+        Returns:
+            A module from (points, in_features) to (points, out_features). An `AffineLayer` tells
+            its effective weight and bias and runs in the fused kernels; any other module runs
+            through autograd.
         """
 
     @hookspec
     def nerfreg_known_depth(
         self, photographs: Photographs
     ) -> Float[Tensor, "views height width 2"] | None:
-        """Between which distances along the rays of training pixels there is something; NaN where that is not known.
+        """Tell the depth of training pixels, found in the photographs or read from elsewhere.
 
-        Called once, before the first step; the time it takes is training time. Found in the photographs, or read from
-        elsewhere. It comes back with the rays of every step, as `rays.known_depth`. One plugin of a run may answer.
+        Called once, before the first step; the time it takes is training time. The answer comes
+        back with the rays of every step, as `rays.known_depth`. One plugin of a run may answer.
+
+        Args:
+            photographs: The training views.
+
+        Returns:
+            The interval of distance along each pixel's ray that contains a surface, in world units;
+            NaN where that is not known.
         """
 
     @hookspec
     def nerfreg_needs(self, step: Step) -> Needs | None:
-        """Ask for patches, neighbours or unseen rays in the coming step."""
+        """Ask for patches, neighbours or unseen rays in the coming step.
+
+        Args:
+            step: Where the run stands.
+        """
 
     @hookspec(firstresult=True)
     def nerfreg_ray_bounds(
         self, rays: Rays, step: Step
     ) -> tuple[Float[Tensor, " rays"], Float[Tensor, " rays"]] | None:
-        """Near and far of each ray, (R,) each, in training. The core returns those of `rays`."""
+        """Return near and far of each ray in training, (R,) each.
+
+        The core returns those of `rays`.
+
+        Args:
+            rays: The rays that are about to be sampled.
+            step: Where the run stands.
+        """
 
     @hookspec(firstresult=True)
     def nerfreg_encoder_input(self, samples: Samples, step: Step) -> Samples | None:
         """Change what the encoders see: positions, directions, or how many features are alive.
 
-        Called for every evaluation of the field in training. The core returns `samples`. Positions and directions
-        that require a gradient get one.
+        Called for every evaluation of the field in training. The core returns `samples`. Positions
+        and directions that require a gradient get one.
+
+        Args:
+            samples: What the encoders would see.
+            step: Where the run stands.
         """
 
     @hookspec
@@ -317,24 +381,41 @@ class HookSpecs:
         """Return scalar terms by name, unweighted, reduced by the mean over rays.
 
         Called for plugins whose weight is not 0 and whose window is open. Never change `rendering`.
+
+        Args:
+            rendering: What compositing made of the step's rays.
+            step: Where the run stands; renders again by `step.rerender` and `step.probe`.
         """
 
     @hookspec
     def nerfreg_reference(
         self, given: nn.Module | Rays | Samples | Rendering, step: Step
     ) -> dict[str, Any] | None:
-        """The exact values of what the plugin makes of `given`, for `nerfreg check` to compare with.
+        """Return exact values of what the plugin makes of `given`, for `nerfreg check`.
 
-        Of a Rendering, the terms that `nerfreg_loss` returns, by name. Of Rays, "near" and "far". Of Samples, those of
-        its attributes that the plugin changes, by name. Of a layer that `nerfreg_layer` made, "weight" and "bias" as
-        `AffineLayer.effective` returns them. The tensors given count as exact (`nerfreg.numerics.exact` makes mpmath
-        numbers of them; 150 digits are set); the values are numbers or nested lists of numbers.
+        Args:
+            given: A Rendering, Rays, Samples, or a layer that `nerfreg_layer` made. Its tensors
+                count as exact: `nerfreg.numerics.exact` makes mpmath numbers of them, and 150
+                digits are set.
+            step: Where the run stands.
+
+        Returns:
+            Numbers or nested lists of numbers. Of a Rendering, the terms that `nerfreg_loss`
+            returns, by name. Of Rays, "near" and "far". Of Samples, those of its attributes that
+            the plugin changes, by name. Of a layer, "weight" and "bias" as
+            `AffineLayer.effective` returns them.
         """
 
     @hookspec
     def nerfreg_contract(self, step: Step) -> dict[str, float]:
-        """What the plugin promises of its own state: by how much each promise is broken now, 0 where it is kept.
+        """Return by how much each promise that the plugin makes of its own state is broken now.
 
-        Called by `nerfreg check` whenever the plugin has been used, also inside `step.rerender`, while what it
-        has set for that rendering is in force.
+        Called by `nerfreg check` whenever the plugin has been used, also inside `step.rerender`,
+        while what it has set for that rendering is in force.
+
+        Args:
+            step: Where the run stands.
+
+        Returns:
+            The excess by the name of the promise, 0 where it is kept.
         """
