@@ -38,7 +38,7 @@ def atomic(path: Path) -> Iterator[Path]:
 
 
 def json_text(value: Any, indent: int | None = None) -> str:
-    """Return strict JSON, which knows neither nan nor infinities: they become null, as None does."""
+    """Return strict JSON, which has neither nan nor infinities: they become null, as None does."""
     return json.dumps(_finite(value), allow_nan=False, indent=indent)
 
 

@@ -5,8 +5,8 @@ This is the page to read before writing a regularizer. A plugin is a dataclass t
 methods marked `@hookimpl` at the points specified in `HookSpecs`. R is the number of rays of a
 step, N the number of samples on each ray.
 
-A plugin that transforms something writes a wrapper around what the core, or the plugin before it,
-returns:
+A plugin that transforms something writes a wrapper around the answer of the core, or of the plugin
+before it:
 
     @hookimpl(wrapper=True)
     def nerfreg_ray_bounds(self, rays, step):
@@ -185,7 +185,10 @@ class Rendering:
 
     @cached_property
     def log_weights(self) -> Float[Tensor, "rays samples"]:
-        """log T + log(1 - exp(-tau)); -inf where tau is 0, finite where the weight underflows."""
+        """Logarithm of the weights, log T + log(1 - exp(-tau)).
+
+        It is -inf where tau is 0, and finite where the weight itself underflows.
+        """
         return self.log_transmittance + log_alpha(self.tau)
 
     @property
@@ -209,7 +212,7 @@ class RayRenderer(Protocol):
         """
 
     def frozen(self) -> AbstractContextManager[None]:
-        """Within this context, nothing rendered has gradients with respect to the field's weights."""
+        """Within this context, renderings have no gradient with respect to the field's weights."""
 
 
 @dataclass
@@ -233,7 +236,7 @@ class Step:
     renderer: RayRenderer | None = None
 
     def rerender(self, rendering: Rendering) -> Rendering:
-        """Render the same rays at the same t through the hooks again; the same samples are coloured.
+        """Render the same rays at the same t, with the same samples coloured, through the hooks.
 
         Raises:
             NoRendererError: There is no renderer.
@@ -303,7 +306,7 @@ class Regularizer:
 
 
 class HookSpecs:
-    """All hooks, in the order in which a run calls them; `nerfreg check` alone calls the last two."""
+    """All hooks, in the order in which a run calls them; the last two are for `nerfreg check`."""
 
     @hookspec(firstresult=True)
     def nerfreg_layer(

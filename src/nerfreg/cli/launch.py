@@ -34,17 +34,27 @@ Job = Callable[[Config, Path], object]
 
 
 class SweepError(NerfregError):
-    """A sweep was ended by something else than its jobs."""
+    """A sweep ended for another reason than its jobs."""
 
     exit_code = 1
 
 
 def launch(words: Sequence[str], job: Job, leaves: str | None = None) -> int:
-    """Run `job(config, folder)` as Hydra's command line `words` say; without a job for --cfg, --help and the like.
+    """Run a job, once or as a sweep, as Hydra's command line says.
 
-    leaves: the file that a complete job leaves in its folder, so that a sweep need not do it again.
-    Returns the exit code: 1 if a job of a sweep failed. Raises NerfregError in one line for whatever cannot be
-    composed, and for folders that cannot be written.
+    Options such as --cfg show something and run no job.
+
+    Args:
+        words: The command line after the verb.
+        job: Called with the configuration and the folder of each run.
+        leaves: The file that a complete job leaves in its folder, so that a sweep need not do it
+            again.
+
+    Returns:
+        The exit code: 1 if a job of a sweep failed, else 0.
+
+    Raises:
+        NerfregError: Something cannot be composed, or a folder cannot be written.
     """
     check_overrides(words)
     task = _Task(job, leaves)
@@ -76,7 +86,10 @@ def launch(words: Sequence[str], job: Job, leaves: str | None = None) -> int:
 
 
 class _Task:
-    """What Hydra calls for every job. It is sent to other processes, and makes them ready for Hydra on its arrival."""
+    """What Hydra calls for every job.
+
+    Launchers send it to other processes, where unpickling it makes Hydra ready.
+    """
 
     def __init__(self, job: Job, leaves: str | None) -> None:
         self._job = job
@@ -102,7 +115,7 @@ class _Task:
                 NerfregError(explain(error, self.plugins, hydra_config.hydra.overrides.task))
             ) from error
         if plan.at_once not in (None, 1):
-            # joblib would let numba have a job's share of the cores and never more, whatever train.threads says
+            # joblib would limit numba to a job's share of the cores, whatever train.threads says.
             os.environ.setdefault("NUMBA_NUM_THREADS", str(numba.config.NUMBA_NUM_THREADS))
         name = f"{datetime.now():%Y-%m-%d_%H-%M-%S}_{os.getpid()}"
         journal = Journal(Path(hydra_config.hydra.sweep.dir).absolute() / ".jobs" / name)
@@ -123,7 +136,7 @@ class _Task:
         return None
 
     def conclude(self) -> bool:
-        """Say what became of a sweep, if it was one; returns whether a job of it failed."""
+        """Print what became of a sweep, if it was one; returns whether a job of it failed."""
         if self.sweep is None:
             return False
         entries = self.sweep.journal.read()
@@ -144,7 +157,7 @@ def _register() -> list[PluginInfo]:
 
 
 def _discard(folder: Path) -> None:
-    """Remove what Hydra wrote for a run that never began."""
+    """Remove what Hydra wrote for a run that was refused before it began."""
     if sorted(path.name for path in folder.iterdir()) == [".hydra"]:
         shutil.rmtree(folder)
         for parent in list(folder.parents)[:2]:
@@ -156,17 +169,20 @@ def _discard(folder: Path) -> None:
 def _warn_of_broken(plugins: Sequence[PluginInfo]) -> None:
     for plugin in plugins:
         if plugin.error:
-            line = f"nerfreg: warning: plugin '{plugin.name}' of package {plugin.package} is left out: {plugin.error}"
-            print(line, file=sys.stderr)
+            who = f"plugin '{plugin.name}' of package {plugin.package}"
+            print(f"nerfreg: warning: {who} is left out: {plugin.error}", file=sys.stderr)
 
 
 def train(config: Config, folder: Path) -> None:
+    """Train, as the job of `nerfreg train`."""
+    # A sweep's own process needs no torch.
     from nerfreg.runs.train import train
 
     train(config, folder)
 
 
 def show_scene(config: Config, folder: Path) -> None:
+    """Describe a scene and draw its cameras, as the job of `nerfreg scene`."""
     from nerfreg.scenes import load_scene
     from nerfreg.scenes.inspect import describe, draw_cameras
 

@@ -109,13 +109,24 @@ def _choices() -> str:
 def _add_hydra_options(parser: Parser) -> None:
     add = parser.add_argument_group("options of Hydra").add_argument
     add("-m", "--multirun", action="store_true", help="a sweep: one job for each combination")
-    add("--cfg", "-c", metavar="WHAT", type=read.one_of(("job", "hydra", "all")),
-        help="show the configuration, without running it: job, hydra or all")  # fmt: skip
+    add(
+        "--cfg",
+        "-c",
+        metavar="WHAT",
+        type=read.one_of(("job", "hydra", "all")),
+        help="show the configuration, without running it: job, hydra or all",
+    )
     add("--package", "-p", metavar="KEY", help="with --cfg: only the part under this key")
     add("--resolve", action="store_true", help="with --cfg: with interpolations resolved")
-    add("--info", "-i", metavar="WHAT", nargs="?", const="all",
+    add(
+        "--info",
+        "-i",
+        metavar="WHAT",
+        nargs="?",
+        const="all",
         help="show where the configuration comes from: all, config, defaults, defaults-tree, "
-        "plugins or searchpath")  # fmt: skip
+        "plugins or searchpath",
+    )
     add("--config-dir", "-cd", metavar="FOLDER", help="another folder of configuration files")
     add("--config-name", "-cn", metavar="NAME", help="another file instead of config.yaml")
     add("--config-path", "-cp", metavar="FOLDER", help="another folder instead of the package's")
@@ -126,37 +137,47 @@ def _add_hydra_options(parser: Parser) -> None:
 
 def _add_train(verbs: Any) -> None:
     parser = _add(
-        verbs, "train", "train on a scene, score it, and leave a run folder",
+        verbs,
+        "train",
+        "train on a scene, score it, and leave a run folder",
         "[OVERRIDE ...] [options]",
         epilog=f"{_choices()}\n\nnerfreg train --cfg job shows all keys of a run.",
-    )  # fmt: skip
+    )
     _add_overrides(parser)
     _add_hydra_options(parser)
 
 
 def _add_scene(verbs: Any) -> None:
     parser = _add(
-        verbs, "scene", "show what is found in a scene's files, and a picture of its cameras",
-        "[OVERRIDE ...] [options]", epilog=_choices(),
-    )  # fmt: skip
+        verbs,
+        "scene",
+        "show what is found in a scene's files, and a picture of its cameras",
+        "[OVERRIDE ...] [options]",
+        epilog=_choices(),
+    )
     _add_overrides(parser)
     _add_hydra_options(parser)
 
 
 def _add_evaluate(verbs: Any) -> None:
     parser = _add(
-        verbs, "evaluate", "score a run's checkpoint on the test views again",
+        verbs,
+        "evaluate",
+        "score a run's checkpoint on the test views again",
         "RUN [OVERRIDE ...]",
         epilog="Overrides change keys of the group eval, e.g. "
         "eval.lpips_weights=weights.safetensors.",
-    )  # fmt: skip
+    )
     _add_run(parser)
     parser.add_argument("overrides", metavar="OVERRIDE", nargs="*", help="KEY=VALUE")
 
 
 def _add_render(verbs: Any) -> None:
     parser = _add(
-        verbs, "render", "render test views, or a camera path to videos", "RUN [KEY=VALUE ...]",
+        verbs,
+        "render",
+        "render test views, or a camera path to videos",
+        "RUN [KEY=VALUE ...]",
         epilog="""\
 keys:
   path=test|spiral|orbit   test views as PNG, or a camera path as videos (test)
@@ -164,11 +185,19 @@ keys:
   fps=N                    frames per second (30)
   format=gif|mp4           format of a video (gif); mp4 needs pip install 'nerfreg[video]'
   out=FOLDER               where the files go (RUN/renders)""",
-    )  # fmt: skip
+    )
     _add_run(parser)
     action = parser.add_argument("keys", metavar="KEY=VALUE", nargs="*", help="see below")
-    keys = ("path=test", "path=spiral", "path=orbit", "frames=", "fps=", "format=gif",
-            "format=mp4", "out=")  # fmt: skip
+    keys = (
+        "path=test",
+        "path=spiral",
+        "path=orbit",
+        "frames=",
+        "fps=",
+        "format=gif",
+        "format=mp4",
+        "out=",
+    )
     action.completer = lambda prefix, **_: [key for key in keys if key.startswith(prefix)]  # type: ignore[attr-defined]
 
 
@@ -178,9 +207,11 @@ def _add_plugins(verbs: Any) -> None:
 
 def _add_check(verbs: Any) -> None:
     parser = _add(
-        verbs, "check", "check plugins against stiff and extreme cases",
+        verbs,
+        "check",
+        "check plugins against stiff and extreme cases",
         "[PLUGIN ...] [reg.NAME.KEY=VALUE ...] [options]",
-    )  # fmt: skip
+    )
     action = parser.add_argument(
         "plugins",
         metavar="PLUGIN",
@@ -190,8 +221,12 @@ def _add_check(verbs: Any) -> None:
     action.completer = complete_plugins  # type: ignore[attr-defined]
     add = parser.add_argument
     add("--case", metavar="NAME", help="only this case")
-    add("--dtype", metavar="NAME", type=read.one_of(DTYPES),
-        help=f"only this precision: {', '.join(DTYPES)}")  # fmt: skip
+    add(
+        "--dtype",
+        metavar="NAME",
+        type=read.one_of(DTYPES),
+        help=f"only this precision: {', '.join(DTYPES)}",
+    )
     add("--samples", metavar="N", type=read.count, help="only this number of samples a ray")
     add("--replay", metavar="FILE", help="render a step again that training left out and saved")
     add("--json", action="store_true", help="print one JSON document")
@@ -200,11 +235,13 @@ def _add_check(verbs: Any) -> None:
 
 def _add_bench(verbs: Any) -> None:
     parser = _add(
-        verbs, "bench", "measure error against run time of what nerfreg computes",
+        verbs,
+        "bench",
+        "measure error against run time of what nerfreg computes",
         "NAME ... [options]",
         epilog="nerfreg bench NAME --help shows the options of one. The last line that step and "
         "render print is JSON.",
-    )  # fmt: skip
+    )
     benches = parser.add_subparsers(
         title="benches", metavar="NAME", dest="bench", prog="nerfreg bench", parser_class=Parser
     )
@@ -213,22 +250,26 @@ def _add_bench(verbs: Any) -> None:
         "quadrature": ("a rendered ray: error against run time", "", ()),
         "losses": ("every plugin's loss: error and run time", "", ()),
         "step": (
-            "a training step and its parts", "overrides",
-            (steps,
-             ("--warmup", "N", read.count, "number of steps before those that are timed"),
-             ("--at", "SHARE", read.share, "share of the budget that schedules see, 0 to 1")),
+            "a training step and its parts",
+            "overrides",
+            (
+                steps,
+                ("--warmup", "N", read.count, "number of steps before those that are timed"),
+                ("--at", "SHARE", read.share, "share of the budget that schedules see, 0 to 1"),
+            ),
         ),
         "overhead": (
-            "each regularizer and preset against vanilla", "overrides",
-            (steps,
-             ("--only", "NAME,NAME", read.names, "names of plugins and presets")),
+            "each regularizer and preset against vanilla",
+            "overrides",
+            (steps, ("--only", "NAME,NAME", read.names, "names of plugins and presets")),
         ),
         "render": (
-            "test views of a run", "run",
+            "test views of a run",
+            "run",
             (("--views", "N", read.count, "number of views to time"),),
         ),
         "scaling": ("a step against rays, samples, levels and table size", "overrides", (steps,)),
-    }  # fmt: skip
+    }
     for name, (help, takes, own) in options.items():
         usage = {"overrides": "[OVERRIDE ...] [options]", "run": "RUN [options]"}
         bench = _add(benches, name, help, usage.get(takes, "[options]"))
@@ -237,9 +278,12 @@ def _add_bench(verbs: Any) -> None:
         elif takes == "run":
             _add_run(bench)
         bench.add_argument(
-            "-o", metavar="FOLDER", dest="folder", type=read.folder,
+            "-o",
+            metavar="FOLDER",
+            dest="folder",
+            type=read.folder,
             help=f"a folder to write to (bench/{name})",
-        )  # fmt: skip
+        )
         bench.add_argument("--quick", action="store_true", help="at small sizes, as a test")
         for option, metavar, kind, text in own:
             bench.add_argument(option, metavar=metavar, type=kind, help=text)
@@ -247,48 +291,102 @@ def _add_bench(verbs: Any) -> None:
 
 def _add_report(verbs: Any) -> None:
     parser = _add(
-        verbs, "report", "write tables, plots and a page of error against run time",
+        verbs,
+        "report",
+        "write tables, plots and a page of error against run time",
         "RUNS... [options]",
         epilog="Written: tables.md, tables/*.tex, methods.csv, runs.csv, figures and report.html.",
-    )  # fmt: skip
+    )
     add = parser.add_argument
     add("runs", metavar="RUNS", nargs="+", help="folders of runs")
-    add("-o", metavar="FOLDER", dest="folder", type=read.folder, default="report",
-        help="a folder to write to (report)")  # fmt: skip
-    add("--paper", metavar="FILE", help="a CSV file of published numbers, with the columns "
-        "dataset, views, scene, method, psnr, ssim, lpips, average")  # fmt: skip
-    add("--psnr", metavar="DB", type=read.decibels,
-        help="a PSNR in dB to which training is timed (the published one of vanilla)")  # fmt: skip
-    add("--views", metavar="NAME,NAME", type=read.names, default=(),
-        help="test views to show pictures of")  # fmt: skip
+    add(
+        "-o",
+        metavar="FOLDER",
+        dest="folder",
+        type=read.folder,
+        default="report",
+        help="a folder to write to (report)",
+    )
+    add(
+        "--paper",
+        metavar="FILE",
+        help="a CSV file of published numbers, with the columns "
+        "dataset, views, scene, method, psnr, ssim, lpips, average",
+    )
+    add(
+        "--psnr",
+        metavar="DB",
+        type=read.decibels,
+        help="a PSNR in dB to which training is timed (the published one of vanilla)",
+    )
+    add(
+        "--views",
+        metavar="NAME,NAME",
+        type=read.names,
+        default=(),
+        help="test views to show pictures of",
+    )
 
 
 def _add_prune(verbs: Any) -> None:
     parser = _add(
-        verbs, "prune", "find the regularizers that a scene can do without",
+        verbs,
+        "prune",
+        "find the regularizers that a scene can do without",
         "[OVERRIDE ...] [options]",
         epilog="Overrides are those of nerfreg train, and select what is judged: "
         "scene=... +reg=combinerf.\nNo test view is read. The same command continues a study "
         "that was stopped.",
-    )  # fmt: skip
+    )
     _add_overrides(parser)
     add = parser.add_argument
-    add("--budget", metavar="SECONDS", type=read.positive, default=3600.0,
-        help="seconds for all trainings together (3600)")  # fmt: skip
-    add("--steps", metavar="N", type=read.count,
+    add(
+        "--budget",
+        metavar="SECONDS",
+        type=read.positive,
+        default=3600.0,
+        help="seconds for all trainings together (3600)",
+    )
+    add(
+        "--steps",
+        metavar="N",
+        type=read.count,
         help="steps of the first trainings (a quarter of train.steps); undecided comparisons "
-        "continue with twice as many")  # fmt: skip
-    add("--folds", metavar="K", type=read.count,
+        "continue with twice as many",
+    )
+    add(
+        "--folds",
+        metavar="K",
+        type=read.count,
         help="folds of the training views, one of which is held out at a time "
-        "(4, or one for each view)")  # fmt: skip
-    add("--tolerance", metavar="DB", type=read.positive, default=0.1,
-        help="dB that count as no difference (0.1)")  # fmt: skip
-    add("--stride", metavar="N", type=read.count, default=2,
-        help="score every N-th row and column (2); 1 adds LPIPS and the average")  # fmt: skip
-    add("--name", metavar="NAME",
-        help="name of the preset conf/reg/NAME.yaml (pruned_SCENE), which +reg=NAME selects")  # fmt: skip
-    add("-o", metavar="FOLDER", dest="folder", type=read.folder,
-        help="a folder for cells.jsonl and prune.json (prune/SCENE)")  # fmt: skip
+        "(4, or one for each view)",
+    )
+    add(
+        "--tolerance",
+        metavar="DB",
+        type=read.positive,
+        default=0.1,
+        help="dB that count as no difference (0.1)",
+    )
+    add(
+        "--stride",
+        metavar="N",
+        type=read.count,
+        default=2,
+        help="score every N-th row and column (2); 1 adds LPIPS and the average",
+    )
+    add(
+        "--name",
+        metavar="NAME",
+        help="name of the preset conf/reg/NAME.yaml (pruned_SCENE), which +reg=NAME selects",
+    )
+    add(
+        "-o",
+        metavar="FOLDER",
+        dest="folder",
+        type=read.folder,
+        help="a folder for cells.jsonl and prune.json (prune/SCENE)",
+    )
 
 
 def _add_cite(verbs: Any) -> None:

@@ -14,7 +14,7 @@ COLUMNS = ("name", "package", "version", "hook points", "summary", "state")
 
 
 def print_plugins() -> None:
-    """A table on a terminal; elsewhere one line a plugin, columns separated by tabs."""
+    """Print a table on a terminal; elsewhere one line a plugin, columns separated by tabs."""
     rows = [_row(plugin) for plugin in register()]
     if not sys.stdout.isatty():
         for row in (COLUMNS, *rows):

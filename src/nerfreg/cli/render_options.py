@@ -15,7 +15,15 @@ CHOICES = {"path": ("test", "spiral", "orbit"), "format": ("mp4", "gif")}
 
 @dataclass
 class RenderOptions:
-    """path: the test views, or a camera path. frames, fps, format: of the video. out: folder, RUN/renders if None."""
+    """What is rendered, and where it goes.
+
+    Attributes:
+        path: "test" for the test views, or the camera path "spiral" or "orbit".
+        frames: Frames of a video.
+        fps: Frames per second.
+        format: Of a video, "gif" or "mp4".
+        out: Folder of the files; RUN/renders if None.
+    """
 
     path: str = "test"
     frames: int = 60
@@ -25,7 +33,11 @@ class RenderOptions:
 
 
 def parse_render_options(words: Sequence[str]) -> RenderOptions:
-    """Read `key=value` words. Raises NerfregError naming key and value."""
+    """Read `key=value` words.
+
+    Raises:
+        NerfregError: A word is not understood, naming key and value.
+    """
     for word in words:
         if "=" not in word:
             raise NerfregError(f"'{word}' is no option of render; write key=value, e.g. path=orbit")

@@ -37,5 +37,5 @@ def require_steps(config: Config) -> None:
     """
     if config.train.steps is None:
         raise NerfregError(
-            "train.steps=null: set it; seconds alone do not say which step stands where in the budget"
+            "train.steps=null: set it; with seconds alone a step has no fixed place in the budget"
         )

@@ -25,7 +25,13 @@ EXTRA = ("hydra/launcher", "hydra/sweeper")
 
 
 class Refused(BaseException):
-    """Carries a NerfregError past Hydra, which has something of its own to say about every Exception."""
+    """Carries a NerfregError past Hydra.
+
+    Not an Exception, because Hydra prints a message of its own for every Exception.
+
+    Attributes:
+        error: What is carried.
+    """
 
     def __init__(self, error: NerfregError) -> None:
         super().__init__(str(error))
@@ -33,7 +39,11 @@ class Refused(BaseException):
 
 
 def check_overrides(overrides: Sequence[str]) -> None:
-    """Refuse a second `+reg=`, which Hydra answers in terms of defaults lists."""
+    """Refuse a second `+reg=`, which Hydra would answer in terms of defaults lists.
+
+    Raises:
+        NerfregError: There are two, with the list that was meant.
+    """
     choices = [
         override.split("=", 1)[1].strip("[]")
         for override in overrides
@@ -46,7 +56,13 @@ def check_overrides(overrides: Sequence[str]) -> None:
 
 
 def explain(error: Exception, plugins: Sequence[PluginInfo], overrides: Sequence[str] = ()) -> str:
-    """What is wrong (file, key, value) and what to do about it, in one line."""
+    """Return what is wrong (file, key, value) and what to do about it, in one line.
+
+    Args:
+        error: One of `COMPOSITION_ERRORS`.
+        plugins: The installed plugins.
+        overrides: The command line, for messages that repeat a word of it.
+    """
     causes = list(_causes(error))
     for cause in causes:
         if isinstance(cause, (ConfigKeyError, ConfigAttributeError)):
@@ -61,16 +77,21 @@ def explain(error: Exception, plugins: Sequence[PluginInfo], overrides: Sequence
     if isinstance(error, MissingConfigException):
         return _unknown_choice(error, plugins)
     if isinstance(error, OverrideParseException):
-        return f"cannot read '{error.override}': {_first_line(error)}; quote lists, as in '+reg=[kl,lipschitz]'"
+        advice = "quote lists, as in '+reg=[kl,lipschitz]'"
+        return f"cannot read '{error.override}': {_first_line(error)}; {advice}"
     text = str(error)
     if match := re.match(r"Could not override '([\w/]+)'. No match in the defaults list", text):
         override = next(
             (word for word in overrides if word.startswith(f"{match[1]}=")), f"{match[1]}=..."
         )
-        return f"{override}: no {match[1]} is chosen by default that this could replace; write +{override}"
+        return (
+            f"{override}: no {match[1]} is chosen by default that this could replace; "
+            f"write +{override}"
+        )
     if match := re.match(r"Ambiguous value for argument '(.*)=(.*)'", text):
         key, values = match.groups()
-        return f"'{key}={values}' is several values; write '{key}=[{values}]' for a list, or -m to sweep over them"
+        advice = f"write '{key}=[{values}]' for a list, or -m to sweep over them"
+        return f"'{key}={values}' is several values; {advice}"
     return " ".join(text.split())
 
 
@@ -112,12 +133,14 @@ def _unknown_choice(error: MissingConfigException, plugins: Sequence[PluginInfo]
     missing = str(error.missing_cfg_file)
     group, _, name = missing.rpartition("/")
     if not group:
-        return f"no config file '{missing}.yaml' in the search path; nerfreg train --info searchpath shows it"
+        advice = "nerfreg train --info searchpath shows it"
+        return f"no config file '{missing}.yaml' in the search path; {advice}"
     if group == "reg":
         for plugin in plugins:
             if plugin.name == name and plugin.error:
                 return f"plugin '{name}' of package {plugin.package}: {plugin.error}"
-        return f"unknown plugin or preset '{name}' in reg={name}; {nearest(name, options(group, plugins))}"
+        hint = nearest(name, options(group, plugins))
+        return f"unknown plugin or preset '{name}' in reg={name}; {hint}"
     known = (
         option
         for option in error.options or options(group, plugins)

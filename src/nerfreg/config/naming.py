@@ -11,21 +11,25 @@ from omegaconf import DictConfig, OmegaConf
 
 MAX_LENGTH = 100
 IDENTITY = 8
-"""Hexadecimal digits by which two names that look alike are told apart."""
+"""Hexadecimal digits that distinguish two names which are equal otherwise."""
 
 UNNAMED = ("name", "train.quiet")
-"""Keys that change nothing in a run."""
+"""Keys that do not change what a run computes."""
 
 
 def slug(text: str) -> str:
-    """Overrides as part of a folder name: `+reg=[lipschitz,kl],seed=0` becomes `reg=lipschitz+kl,seed=0`."""
+    """Return overrides as part of a folder name.
+
+    `+reg=[lipschitz,kl],seed=0` becomes `reg=lipschitz+kl,seed=0`.
+    """
     return re.sub(r"[^\w=.,+-]+", "-", _without_syntax(text))[:MAX_LENGTH].strip("-,.")
 
 
 def overrides_name(overrides: Sequence[str]) -> str:
-    """A slug that no other overrides have: where it is shortened, and does not say all, it ends in a hash.
+    """Return a slug that no other overrides have; where it does not say all, it ends in a hash.
 
-    The order of the overrides makes no difference; regularizers and seed come first, and paths are their last part.
+    The order of the overrides makes no difference. Regularizers and seed come first, and of a path
+    only the last part is kept.
     """
     text = ",".join(
         sorted((override for override in overrides if _key(override) not in UNNAMED), key=_rank)
@@ -35,12 +39,12 @@ def overrides_name(overrides: Sequence[str]) -> str:
 
 
 def digest(text: str) -> str:
-    """A few hexadecimal digits that stand for a text."""
+    """Return a few hexadecimal digits that stand for a text."""
     return sha256(text.encode()).hexdigest()[:IDENTITY]
 
 
 def run_name(*, _root_: DictConfig) -> str:
-    """`name` if the user gave one, else what was chosen: `llff_kl+lipschitz`, `procedural_vanilla`."""
+    """Return `name` if the user gave one, else what was chosen, such as `llff_kl+lipschitz`."""
     name = OmegaConf.select(_root_, "name")
     if name:
         return slug(name)
@@ -53,7 +57,7 @@ def run_name(*, _root_: DictConfig) -> str:
 
 
 def study_name(root: DictConfig) -> str:
-    """`name` if the user gave one, else the scene: the last part of its path, or its format."""
+    """Return `name` if the user gave one, else the last part of the scene's path, or its format."""
     path = OmegaConf.select(root, "scene.path")
     scene = Path(str(path)).name if path else OmegaConf.select(root, "hydra.runtime.choices.scene")
     return slug(OmegaConf.select(root, "name") or scene) or "sweep"

@@ -1,4 +1,4 @@
-"""The configuration of a run that has been, read back from its folder."""
+"""The configuration of a finished run, read back from its folder."""
 
 from __future__ import annotations
 
@@ -15,9 +15,14 @@ from nerfreg.errors import NerfregError
 
 
 def read_run(folder: Path, overrides: Sequence[str] = ()) -> Config:
-    """RUN/.hydra/config.yaml with its types, changed by `key=value` overrides.
+    """Return RUN/.hydra/config.yaml with its types.
 
-    Raises NerfregError where there is no run, and where its plugins are not installed.
+    Args:
+        folder: The run's folder.
+        overrides: `key=value` changes.
+
+    Raises:
+        NerfregError: There is no run, or its plugins are not installed.
     """
     path = folder / ".hydra" / "config.yaml"
     if not path.is_file():
@@ -30,13 +35,19 @@ def read_run(folder: Path, overrides: Sequence[str] = ()) -> Config:
 
 
 def restored(saved: Any, source: str, overrides: Sequence[str] = ()) -> Config:
-    """A configuration as it was saved, with its types, changed by `key=value` overrides.
+    """Return a saved configuration with its types.
 
-    source: the file it comes from, for messages. Raises NerfregError where its plugins are not installed.
+    Args:
+        saved: The configuration as it was read.
+        source: The file it comes from, for messages.
+        overrides: `key=value` changes.
+
+    Raises:
+        NerfregError: Its plugins are not installed, or an override cannot be used.
     """
     for override in overrides:
         if "=" not in override:
-            raise NerfregError(f"'{override}' is no override; write key=value")
+            raise NerfregError(f"'{override}' is not an override; write key=value")
     plugins = register()
     classes = {plugin.name: plugin.cls for plugin in plugins}
     try:

@@ -64,7 +64,7 @@ class Renderer:
             return self._sample_and_render(rays, step)
 
     def frozen(self) -> AbstractContextManager[None]:
-        """Within this context, nothing rendered has gradients with respect to the field's weights."""
+        """Within this context, renderings have no gradient with respect to the field's weights."""
         return self.field.frozen()
 
     def _sample_and_render(self, rays: Rays, step: Step) -> Rendering:
