@@ -10,7 +10,8 @@ import pytest
 
 from nerfreg.checks.inputs import DTYPES as CHECKED_DTYPES
 from nerfreg.cli.entry import _select
-from nerfreg.cli.parser import DTYPES, make_parser, parsers_of
+from nerfreg.cli.parser import make_parser, parsers_of
+from nerfreg.cli.tools import DTYPES
 from nerfreg.errors import NerfregError
 
 TOOLS = {"-o", "--quick", "--help", "-h", "--debug"}
