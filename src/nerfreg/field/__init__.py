@@ -1,4 +1,4 @@
-"""The radiance field: hash grid, spherical harmonics and two small networks built by the layer factory."""
+"""The radiance field: hash grid, spherical harmonics and two small networks."""
 
 from nerfreg.field.config import FieldConfig
 from nerfreg.field.radiance_field import RadianceField

@@ -1,4 +1,4 @@
-"""What a field is made of."""
+"""The configuration of a field."""
 
 from __future__ import annotations
 
@@ -13,17 +13,26 @@ BACKENDS = ("auto", "numba", "torch")
 
 @dataclass
 class FieldConfig:
-    """Hash grid and networks.
+    """Hash grid and networks, after instant-ngp (Mueller et al. 2022).
 
-    levels, base, finest: number of grid levels and their coarsest and finest resolution across the scene's box.
-    log2_entries: log2 of the table entries a hashed level has; coarser levels that need fewer are stored densely.
-    fit: leave out levels and entries that the training views of the scene cannot fill (`nerfreg.field.fit`).
-    hidden, geometry: width of the hidden layers, and of what the density network hands to the colour network.
-    density_layers, color_layers: number of layers of each network.
-    density_bias: added to the raw density before the exponential.
-    precision: "float32", or "bfloat16" for all layers of the networks but the last, in the fused kernels; weights,
-        their gradients and what leaves a network stay float32. Faster on processors with instructions for it.
-    backend: "auto" (numba on the CPU, torch elsewhere), "numba" or "torch".
+    Attributes:
+        levels: Number of grid levels.
+        base: Resolution of the coarsest level, in cells across the scene's box.
+        finest: Resolution of the finest level, in cells across the scene's box.
+        log2_entries: log2 of the number of table entries of a hashed level. Coarser levels that
+            need fewer are stored densely.
+        fit: Whether to leave out levels and entries that the training views of the scene cannot
+            fill (see `nerfreg.field.fit`).
+        hidden: Width of the hidden layers of both networks.
+        geometry: Number of features that the density network passes on to the colour network.
+        density_layers: Number of layers of the density network.
+        color_layers: Number of layers of the colour network.
+        density_bias: Added to the raw density before the exponential.
+        precision: "float32", or "bfloat16" for all layers but the last of each network where the
+            fused kernels run. Weights, their gradients and the output of a network stay float32.
+            Faster on processors with bfloat16 instructions.
+        backend: Implementation of the hash grid: "auto" (numba on the CPU, torch elsewhere),
+            "numba" or "torch".
     """
 
     levels: int = 16
@@ -40,6 +49,7 @@ class FieldConfig:
     backend: str = "auto"
 
     def __post_init__(self) -> None:
+        """Raise NerfregError for values out of range."""
         one = (1, math.inf)
         require_range(
             "field", self, levels=one, base=one, finest=(self.base, 65536), log2_entries=(3, 26)

@@ -14,12 +14,20 @@ WIDTH = len(DEGREES)
 
 
 def spherical_harmonics(directions: Float[Tensor, "*rays 3"]) -> Float[Tensor, "*rays 16"]:
-    """Orthonormal real spherical harmonics of unit vectors up to degree 3, (..., 16).
+    """Evaluate the orthonormal real spherical harmonics up to degree 3.
 
-    Ordered by degree l, then order m from -l to l, with the sign convention of the Condon-Shortley phase.
+    Args:
+        directions: Unit vectors.
+
+    Returns:
+        The harmonics, `(..., 16)`, ordered by degree l and then by order m from -l to l, with the
+        signs of the Condon-Shortley phase.
     """
     x, y, z = directions.unbind(-1)
     xx, yy, zz = x * x, y * y, z * z
+    # Written out as polynomials: on the unit sphere they are exact and need no angles, whose
+    # gradients would be singular at the poles. Each factor is the normalization constant
+    # sqrt((2l+1)/(4 pi) (l-m)!/(l+m)!), times sqrt(2) for m != 0.
     return torch.stack(
         [
             torch.full_like(x, 0.28209479177387814),

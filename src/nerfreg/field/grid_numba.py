@@ -1,8 +1,10 @@
 """The hash grid on the CPU: the same function as `grid_torch.encode`, compiled and parallel.
 
-Everything goes level by level, so that the table of one level stays in the cache while all points read it, and features
-are stored by feature, so that writing them is one stream. Forward splits the points between the threads; backward
-splits the levels, so that no two threads add to the same entry and the sums have the same order for any thread count.
+All kernels go level by level, so that the table of one level (1 MB at 2^17 entries) stays in the
+second-level cache while all points read it. Features are stored feature by feature, so that each is
+written as one stream. The forward pass splits the points among the threads. The backward pass to
+the table splits the levels, so that no two threads add to the same entry (no atomics) and sums have
+the same order for any number of threads.
 """
 
 from __future__ import annotations
@@ -17,21 +19,41 @@ from torch import Tensor
 
 from nerfreg.field.grid_layout import FEATURES, PRIMES, GridLayout
 
+# Signed, like the coordinates: numba widens a mixture of signed and unsigned numbers. The hash uses
+# the low bits of its products alone, and those do not depend on the sign or on an overflow.
 PRIME_Y, PRIME_Z = (np.uint32(prime).astype(np.int32) for prime in PRIMES[1:])
-ONE = np.float32(1)
-BLOCK = 256
-"""Points whose vertices are found at once: that vectorises, and its results stay in the first-level cache."""
 
+# With the literal 1, an int64, numba would compute in float64.
+ONE = np.float32(1)
+
+BLOCK = 256
+"""Points whose vertices are located at once. Doing so vectorizes, and 256 points of eight vertices
+and three fractions (11 kB) stay in the first-level cache until they are used."""
+
+# Fused multiply-adds and the sign of zero may differ from strict arithmetic. Reordering of sums is
+# not allowed, so that results do not depend on how a loop was vectorized, nor is the assumption
+# that no value is NaN, which could remove the guard in `_locate`. Without the interpreter lock
+# `in_shares` can run kernels on several threads at once.
 COMPILED = {"fastmath": {"contract", "nsz"}, "nogil": True, "cache": True, "error_model": "numpy"}
 
 
 @no_type_check
 @njit(**COMPILED)
 def _locate(positions, start, count, cells, dense, mask, vertices, inside):
-    """Table entries of the eight vertices of each point's cell, and how far into the cell the point lies.
+    """Find the cells of a block of points: their vertices' entries, and the place inside the cell.
 
-    Cells are clipped to the grid. Vertices run fastest in x, then y, then z. positions: (3, P). vertices: (8, BLOCK).
-    inside: (3, BLOCK).
+    Cells are clipped to the grid.
+
+    Args:
+        positions: Positions in the unit cube, `(3, P)`.
+        start: First point of the block.
+        count: Number of points of the block.
+        cells: Resolution of the level.
+        dense: Whether the level is dense.
+        mask: Number of entries of a hashed level, minus 1.
+        vertices: Written: entries of the vertices within their level, `(8, BLOCK)`, fastest in x,
+            then y, then z.
+        inside: Written: place inside the cell, 0 to 1 along x, y and z, `(3, BLOCK)`.
     """
     scale, last, top = np.float32(cells), np.float32(cells - 1), np.int32(cells - 1)
     x_in, y_in, z_in = inside[0], inside[1], inside[2]
@@ -40,6 +62,8 @@ def _locate(positions, start, count, cells, dense, mask, vertices, inside):
     side = np.int32(cells + 1)
     one, zero = np.int32(1), np.int32(0)
     for p in range(count):
+        # `positions * cells` in the same order of operations as in `grid_torch`: a rounding that
+        # differs would put points near a border into different cells.
         x = positions[0, start + p] * scale
         y = positions[1, start + p] * scale
         z = positions[2, start + p] * scale
@@ -47,7 +71,8 @@ def _locate(positions, start, count, cells, dense, mask, vertices, inside):
         y_low = min(max(np.floor(y), np.float32(0)), last)
         z_low = min(max(np.floor(z), np.float32(0)), last)
         x_in[p], y_in[p], z_in[p] = x - x_low, y - y_low, z - z_low
-        # What is not a number must not lead outside of the table.
+        # NaN passes through the clipping above, and becomes an arbitrary integer here. Without a
+        # second clipping, now of integers, it would read and write outside of the table.
         i = min(max(np.int32(x_low), zero), top)
         j = min(max(np.int32(y_low), zero), top)
         k = min(max(np.int32(z_low), zero), top)
@@ -59,6 +84,8 @@ def _locate(positions, start, count, cells, dense, mask, vertices, inside):
             v0[p], v1[p], v2[p], v3[p] = a, a + one, b, b + one
             v4[p], v5[p], v6[p], v7[p] = c, c + one, d, d + one
         else:
+            # The factor of x is 1, and y and z have two values each, whose products differ by the
+            # prime: two products and four combinations serve all eight vertices.
             i1 = i + one
             y0, z0 = j * PRIME_Y, k * PRIME_Z
             y1, z1 = y0 + PRIME_Y, z0 + PRIME_Z
@@ -80,15 +107,22 @@ def _locate(positions, start, count, cells, dense, mask, vertices, inside):
 @no_type_check
 @njit(**COMPILED)
 def _gather(entries, vertices, inside, first, second, start, count):
-    """Interpolate both features of a level; entries hold them as the parts of a complex number, loaded in one go."""
+    """Interpolate both features of a level for a block of points.
+
+    `entries` holds the two features of an entry as the parts of a complex number, so that one load
+    of 8 bytes fetches both. Writes to `first` and `second`, the two rows of features of the level.
+    """
     for p in range(count):
         fx, fy, fz = inside[0, p], inside[1, p], inside[2, p]
         gx, gy, gz = ONE - fx, ONE - fy, ONE - fz
         a, b, c, d = gy * gz, fy * gz, gy * fz, fy * fz
+        # An unsigned index needs no test for negative ones, which numba counts from the end.
         e0, e1 = entries[np.uint32(vertices[0, p])], entries[np.uint32(vertices[1, p])]
         e2, e3 = entries[np.uint32(vertices[2, p])], entries[np.uint32(vertices[3, p])]
         e4, e5 = entries[np.uint32(vertices[4, p])], entries[np.uint32(vertices[5, p])]
         e6, e7 = entries[np.uint32(vertices[6, p])], entries[np.uint32(vertices[7, p])]
+        # Real and imaginary parts apart: products of complex numbers would cost four
+        # multiplications where each weight needs two.
         first[start + p] = (
             a * (gx * e0.real + fx * e1.real)
             + b * (gx * e2.real + fx * e3.real)
@@ -107,6 +141,8 @@ def _gather(entries, vertices, inside, first, second, start, count):
 @njit(**COMPILED)
 def _scatter(entries, vertices, inside, first, second, start, count):
     """Add the gradients of both features to the entries they came from."""
+    # One point after the other: several vertices of a hashed level may share an entry, so additions
+    # to it must not overtake each other.
     for p in range(count):
         fx, fy, fz = inside[0, p], inside[1, p], inside[2, p]
         gx, gy, gz = ONE - fx, ONE - fy, ONE - fz
@@ -125,7 +161,11 @@ def _scatter(entries, vertices, inside, first, second, start, count):
 @no_type_check
 @njit(**COMPILED)
 def _slope(entries, vertices, inside, first, second, start, count, cells, position_grad):
-    """Add the gradient that reaches the positions through one level. position_grad: (3, P)."""
+    """Add the gradient that reaches the positions through one level to `position_grad`, `(3, P)`.
+
+    The derivative of trilinear interpolation along an axis is the difference of two opposite faces
+    of the cell, interpolated along the other two axes, times the resolution.
+    """
     scale = np.float32(cells)
     for p in range(count):
         fx, fy, fz = inside[0, p], inside[1, p], inside[2, p]
@@ -135,6 +175,8 @@ def _slope(entries, vertices, inside, first, second, start, count, cells, positi
         e2, e3 = entries[np.uint32(vertices[2, p])], entries[np.uint32(vertices[3, p])]
         e4, e5 = entries[np.uint32(vertices[4, p])], entries[np.uint32(vertices[5, p])]
         e6, e7 = entries[np.uint32(vertices[6, p])], entries[np.uint32(vertices[7, p])]
+        # The products with the gradient come first: they reduce both features to one number per
+        # vertex, which all three axes share.
         t0, t1 = u * e0.real + v * e0.imag, u * e1.real + v * e1.imag
         t2, t3 = u * e2.real + v * e2.imag, u * e3.real + v * e3.imag
         t4, t5 = u * e4.real + v * e4.imag, u * e5.real + v * e5.imag
@@ -153,6 +195,7 @@ def _slope(entries, vertices, inside, first, second, start, count, cells, positi
 @no_type_check
 @njit(**COMPILED)
 def _forward_share(positions, table, offsets, resolutions, dense, mask, features, first, stop):
+    """Encode the points from `first` to `stop`, level by level."""
     vertices, inside = np.empty((8, BLOCK), np.int32), np.empty((3, BLOCK), np.float32)
     for level in range(len(features) // 2):
         entries = table[offsets[level] : offsets[level + 1]]
@@ -175,8 +218,11 @@ def _forward_share(positions, table, offsets, resolutions, dense, mask, features
 @no_type_check
 @njit(parallel=True, **COMPILED)
 def _forward(positions, table, offsets, resolutions, dense, mask, threads, features):
+    """Encode all points; each thread takes a contiguous share of them."""
     points = positions.shape[1]
     share = (points + threads - 1) // threads
+    # A loop over threads and not over blocks, so that each thread allocates its buffers once and
+    # goes through all of its points before it turns to the next level.
     for thread in prange(threads):
         stop = min(points, (thread + 1) * share)
         _forward_share(
@@ -187,9 +233,12 @@ def _forward(positions, table, offsets, resolutions, dense, mask, threads, featu
 @no_type_check
 @njit(parallel=True, **COMPILED)
 def _backward_table(positions, grad, offsets, resolutions, dense, mask, threads, table_grad):
+    """Add the gradient by the table to `table_grad`; each thread takes some of the levels."""
     points, levels = positions.shape[1], len(grad) // 2
     for thread in prange(threads):
         vertices, inside = np.empty((8, BLOCK), np.int32), np.empty((3, BLOCK), np.float32)
+        # Every `threads`-th level: the small tables of coarse levels are faster than those of fine
+        # ones, so contiguous shares would keep one thread waiting for the other.
         for level in range(thread, levels, threads):
             entries = table_grad[offsets[level] : offsets[level + 1]]
             for start in range(0, points, BLOCK):
@@ -214,6 +263,11 @@ def _backward_table(positions, grad, offsets, resolutions, dense, mask, threads,
 def _backward_positions(
     positions, table, grad, offsets, resolutions, dense, mask, threads, position_grad
 ):
+    """Add the gradient by the positions to `position_grad`; threads share the points.
+
+    Here threads may split the points: no two of them add to the same place, and the levels add to a
+    point in one order.
+    """
     points = positions.shape[1]
     share = (points + threads - 1) // threads
     for thread in prange(threads):
@@ -229,32 +283,48 @@ def _backward_positions(
 
 
 class SharedTable:
-    """The table, for several encodings whose gradients are added up in one buffer, instead of one each.
+    """The table as several encodings see it whose gradients are added up in one buffer.
 
-    Nothing but encodings may see `table`, or what they add late would be missed.
+    Autograd gets the buffer from the first encoding of a backward pass, while later ones still add
+    to it. Therefore nothing but encodings may use `table`: autograd would add the gradient of
+    another use to the buffer out of place, and what encodings add afterwards would be lost.
+
+    Attributes:
+        table: The table, behind a node of the graph that all encodings share. The node runs when
+            all of them are done, and only then hands the finished buffer on.
     """
 
     def __init__(self, table: Float[Tensor, "entries 2"]) -> None:
+        """Put the shared node on top of the table."""
         self._buffer: Tensor | None = None
         self.table: Tensor = _Share.apply(table, self)
 
     def buffer(self) -> tuple[Tensor, bool]:
-        """The buffer of this backward pass, and whether it is new: then autograd has to be given it."""
+        """Return the buffer of this backward pass, and whether it is new.
+
+        The encoding that gets a new buffer must return it to autograd, and it alone: the others
+        would make autograd add the buffer to itself.
+        """
         if self._buffer is not None:
             return self._buffer, False
         self._buffer = torch.zeros(self.table.shape)
-        # A pass that ends elsewhere (torch.autograd.grad) does not come by `_Share`.
+        # A pass that asks for other gradients only (torch.autograd.grad) never reaches `_Share`,
+        # and the next pass must not go on adding to its buffer.
         torch.autograd.Variable._execution_engine.queue_callback(self.forget)
         return self._buffer, True
 
     def forget(self) -> None:
+        """Let go of the buffer, so that the next backward pass starts with a new one."""
         self._buffer = None
 
 
 class _Share(torch.autograd.Function):
+    """The identity, whose backward pass marks the end of all encodings' additions."""
+
     @staticmethod
     def forward(ctx: Any, table: Tensor, shared: SharedTable) -> Tensor:
         ctx.shared = shared
+        # A new tensor: an input returned as it is would not get a node of its own.
         return table.view_as(table)
 
     @staticmethod
@@ -264,6 +334,8 @@ class _Share(torch.autograd.Function):
 
 
 class _Encode(torch.autograd.Function):
+    """The kernels as an operation of autograd, by both the positions and the table."""
+
     @staticmethod
     def forward(
         ctx: Any,
@@ -274,15 +346,18 @@ class _Encode(torch.autograd.Function):
         shared: SharedTable | None,
     ) -> Tensor:
         features = torch.empty(FEATURES * levels, len(positions))
+        # One row per coordinate: loads of consecutive points are then contiguous.
         rows = positions.detach().t().contiguous()
         encoded = rows.numpy(), _pairs(table), *_arguments(layout)
         if get_num_threads() == 1:
-            # Not every threading layer of numba may be entered by several threads at once, as `in_shares` would.
+            # Not every threading layer of numba may be entered by several threads at once, as
+            # `in_shares` would do. Its workers have one numba thread each and come here.
             _forward_share(*encoded, features.numpy(), 0, len(positions))
         else:
             _forward(*encoded, get_num_threads(), features.numpy())
         ctx.save_for_backward(rows, table)
         ctx.layout, ctx.shared = layout, shared
+        # A view: the matrix products of the network take either layout, so nothing is copied.
         return features.t()
 
     @staticmethod
@@ -295,6 +370,7 @@ class _Encode(torch.autograd.Function):
             buffer, new = (
                 (torch.zeros(table.shape), True) if ctx.shared is None else ctx.shared.buffer()
             )
+            # Levels that were not evaluated have no rows in `grad` and stay zero in the buffer.
             _backward_table(positions, grad, *arguments, _pairs(buffer))
             table_grad = buffer if new else None
         if ctx.needs_input_grad[0]:
@@ -305,11 +381,12 @@ class _Encode(torch.autograd.Function):
 
 
 def _pairs(table: Tensor) -> np.ndarray:
-    """(E,) the two features of each entry as one complex number, of the same memory."""
+    """View the two features of each entry as one complex number, `(E,)`, in the same memory."""
     return table.detach().numpy().view(np.complex64)[:, 0]
 
 
 def _arguments(layout: GridLayout) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.int32]:
+    # Plain arrays and numbers, since compiled code knows no dataclass.
     return layout.offsets, layout.resolutions, layout.dense, np.int32(2**layout.log2_entries - 1)
 
 
@@ -319,7 +396,18 @@ def encode(
     layout: GridLayout,
     levels: int,
 ) -> Float[Tensor, "points features"]:
-    """The same as `grid_torch.encode` for float32 on the CPU; the result is stored feature by feature."""
+    """Interpolate the features of the coarsest levels, as `grid_torch.encode` does.
+
+    Args:
+        positions: Positions in the unit cube, `(P, 3)`, float32 on the CPU.
+        table: The features of all levels, `(E, 2)`, float32 on the CPU, or such a table shared
+            with other encodings.
+        layout: Resolutions of the levels and their places in the table.
+        levels: Number of levels to evaluate, from the coarsest.
+
+    Returns:
+        The features, `(P, 2 * levels)`, stored feature by feature (column-major).
+    """
     if isinstance(table, SharedTable):
         return _Encode.apply(positions, table.table, layout, levels, table)
     return _Encode.apply(positions, table, layout, levels, None)

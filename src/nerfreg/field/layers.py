@@ -1,4 +1,4 @@
-"""Layers that tell what they compute, so that the fused kernels can run them."""
+"""Layers that expose what they compute, so that the fused kernels can run them."""
 
 from __future__ import annotations
 
@@ -7,35 +7,49 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 ACTIVATIONS = {"none": lambda x: x, "relu": functional.relu, "gelu": functional.gelu}
+"""Activations that the fused kernels know."""
 
 
 class AffineLayer(nn.Module):
     """An affine map followed by an elementwise activation: y = activation(x W^T + b).
 
-    A subclass says what W and b are at the moment. The fused kernels take those, and autograd carries the gradient on
-    from W and b to whatever they were made of.
+    A subclass defines the current W and b. The fused kernels use those, and autograd carries the
+    gradient on from W and b to whatever they were computed from.
 
-    activation: "none", "relu" or "gelu" (the exact one, with erf).
+    Attributes:
+        activation: "none", "relu" or "gelu" (the exact one, with erf).
     """
 
     def __init__(self, activation: str) -> None:
+        """Set the activation."""
         super().__init__()
         self.activation = activation
 
     def effective(self) -> tuple[Float[Tensor, "out in"], Float[Tensor, " out"] | None] | None:
-        """Weight and bias to use now; None where the layer is not affine this time, then `forward` runs instead."""
+        """Compute the weight and bias to use now.
+
+        Returns:
+            The weight and the bias, if there is one; None if the layer is not affine this time, in
+            which case `forward` runs instead of the fused kernels.
+        """
         raise NotImplementedError
 
     def input_shift(self) -> Float[Tensor, "points in"] | None:
-        """What is added to the input now, point by point; only the first layer of a network may have one."""
+        """Return what to add to the input, point by point, or None.
+
+        Only the first layer of a network stays in the fused kernels with such a shift.
+        """
         return None
 
     def output_shift(self) -> Float[Tensor, "points out"] | None:
-        """What is added to the output now, point by point; only the last layer of a network may have one."""
+        """Return what to add to the output, point by point, or None.
+
+        Only the last layer of a network stays in the fused kernels with such a shift.
+        """
         return None
 
     def forward(self, x: Float[Tensor, "points in"]) -> Float[Tensor, "points out"]:
-        """The plain version of what the fused kernels compute."""
+        """Compute by plain autograd what the fused kernels compute."""
         affine = self.effective()
         assert affine is not None, "a layer that is not always affine overrides forward"
         return shifted(
@@ -47,15 +61,18 @@ class AffineLayer(nn.Module):
 
 
 class Linear(AffineLayer):
-    """A linear layer without bias, initialised as torch does (uniform, 1/sqrt(in))."""
+    """A linear layer without bias, initialized as torch does: uniform within 1/sqrt(in)."""
 
     def __init__(self, in_features: int, out_features: int, activation: str = "none") -> None:
+        """Draw the weight from torch's global random generator."""
         super().__init__(activation)
         self.weight = nn.Linear(in_features, out_features, bias=False).weight
 
     def effective(self) -> tuple[Float[Tensor, "out in"], None]:
+        """Return the weight itself, and no bias."""
         return self.weight, None
 
 
 def shifted(x: Tensor, shift: Tensor | None) -> Tensor:
+    """Add a shift, if there is one."""
     return x if shift is None else x + shift
