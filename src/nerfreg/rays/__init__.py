@@ -1,4 +1,4 @@
-"""What to render in a step: random pixels, patches, neighbours and unseen views, as the plugins need."""
+"""What to render in a step: random pixels, and the patches and unseen views that plugins need."""
 
 from nerfreg.rays.batches import RayBatches
 
