@@ -47,8 +47,9 @@ def test_ssim_of_flat_images_is_the_luminance_term():
 
 
 def test_ssim_range_is_1_whatever_the_contrast_of_the_images():
-    # a flat image against its noise of deviation s: contrast * structure = C2 / (s^2 + C2), C2 = (0.03 * 1)^2,
-    # times a luminance term near 1. Averaged over windows of noise with s = 0.03 this is close to a half.
+    # a flat image against its noise of deviation s: contrast * structure = C2 / (s^2 + C2) with
+    # C2 = (0.03 * 1)^2, times a luminance term near 1. Averaged over windows of noise with s = 0.03
+    # this is close to a half.
     dim = 0.5 + 0.03 * torch.randn(64, 64, 3, generator=torch.Generator().manual_seed(1))
     assert ssim(flat(0.5, 64, 64), dim) == pytest.approx(0.5, abs=0.05)
 
@@ -67,7 +68,8 @@ def test_scores_are_symmetric_and_a_shifted_image_scores_worse():
 
 
 def test_average_is_the_geometric_mean_of_three_errors():
-    # 20 dB -> 10^-2; SSIM 0.75 -> sqrt(0.25) = 0.5; LPIPS 0.2: (0.01 * 0.5 * 0.2)^(1/3) = 0.001^(1/3) = 0.1
+    # 20 dB -> 10^-2; SSIM 0.75 -> sqrt(0.25) = 0.5; LPIPS 0.2:
+    # (0.01 * 0.5 * 0.2)^(1/3) = 0.001^(1/3) = 0.1
     assert average(20.0, 0.75, 0.2) == pytest.approx(0.1, rel=1e-9)
 
 

@@ -16,7 +16,7 @@ TARGET = torch.tensor([1.0, 2.0, 3.0])
 
 
 def project(cameras: Cameras, point: Tensor) -> tuple[Tensor, Tensor]:
-    """Pixel of a point in every camera, (V, 2), and its depth: x right, y down in the image; looking along -z."""
+    """Pixels (x, y) of a point in every camera, (V, 2), and its depths along -z."""
     local = torch.einsum("vij,vi->vj", cameras.poses[:, :, :3], point - cameras.poses[:, :, 3])
     depth = -local[:, 2]
     x = cameras.center[:, 0] + cameras.focal[:, 0] * local[:, 0] / depth

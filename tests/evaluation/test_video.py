@@ -32,7 +32,8 @@ def test_mp4_has_all_frames_and_even_sides(tmp_path):
     ffmpeg = pytest.importorskip("imageio_ffmpeg", reason="mp4 needs imageio-ffmpeg (extra: video)")
     path = tmp_path / "film.mp4"
     write_video(path, grays(5, height=33, width=47), fps=25)
-    # decoded by ffmpeg itself: imageio's reader leaves its pipes open, which counts as an error here
+    # decoded by ffmpeg itself: imageio's reader leaves its pipes open, which counts as an error
+    # here
     command = [
         ffmpeg.get_ffmpeg_exe(),
         "-v",

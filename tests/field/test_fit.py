@@ -18,7 +18,10 @@ PAPER = FieldConfig(
 
 
 def a_scene(near: float = 2.0, focal: float = 100.0, size: int = 64) -> Scene:
-    """A box of 4 and two training views of `size` squared pixels; the third, a test view, is ten times as sharp."""
+    """A box of 4 and two training views of `size` squared pixels.
+
+    The third view, a test view, is ten times as sharp.
+    """
     cameras = Cameras(
         size,
         size,

@@ -1,4 +1,4 @@
-"""The hash grid: hand-worked interpolation, both implementations against each other, gradients, edges."""
+"""The hash grid: interpolation by hand, both implementations, gradients and edges."""
 
 from __future__ import annotations
 
@@ -36,8 +36,9 @@ def test_a_level_is_dense_exactly_when_its_vertices_fit() -> None:
 
 
 def test_interpolation_in_one_dense_cell() -> None:
-    # One level, one cell: vertices at the corners of the cube, x fastest. With the table holding x + 2y + 4z of each
-    # vertex, trilinear interpolation gives x + 2y + 4z everywhere, and half of that in the second feature.
+    # One level, one cell: vertices at the corners of the cube, x fastest. The table holds
+    # x + 2y + 4z of each vertex, so trilinear interpolation gives x + 2y + 4z everywhere, and half
+    # of that in the second feature.
     layout = GridLayout(1, 1, 1, 4)
     values = torch.arange(8.0)
     table = torch.stack([values, values / 2], dim=1)
@@ -49,8 +50,9 @@ def test_interpolation_in_one_dense_cell() -> None:
 
 
 def test_hashed_vertices_use_the_published_primes() -> None:
-    # 16 cells a side, 2^4 entries: vertex (3, 5, 7) lies at (3 xor 5 * 2654435761 xor 7 * 805459861) mod 16.
-    # 2654435761 = 1 mod 16 and 805459861 = 5 mod 16, so it is 3 xor 5 xor 35 mod 16 = 3 xor 5 xor 3 = 5.
+    # 16 cells a side, 2^4 entries: vertex (3, 5, 7) is at
+    # (3 xor 5 * 2654435761 xor 7 * 805459861) mod 16. As 2654435761 = 1 and 805459861 = 5 mod 16,
+    # that is 3 xor 5 xor 35 mod 16 = 3 xor 5 xor 3 = 5.
     layout = GridLayout(1, 16, 16, 4)
     table = torch.arange(16.0)[:, None].expand(16, 2).contiguous()
     positions = torch.tensor([[3.0, 5.0, 7.0]]) / 16
@@ -108,7 +110,7 @@ def test_backward_is_the_same_for_any_number_of_threads() -> None:
 
 
 @pytest.mark.parametrize("encode", [grid_torch.encode, grid_numba.encode])
-def test_positions_outside_the_cube_stay_inside_the_table(encode) -> None:  # type: ignore[no-untyped-def]
+def test_positions_outside_the_cube_stay_inside_the_table(encode):
     table = torch.ones(HASHED.entries, 2)
     positions = torch.tensor([[-0.01, 0.5, 1.01], [1.0 + 1e-6, -1e-6, 0.5]])
     # weights of a cell sum to 1 outside it as well, so a constant table gives the constant

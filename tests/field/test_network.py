@@ -163,7 +163,7 @@ class Shifted(Linear):
 
 @pytest.mark.parametrize("scale", [None, torch.tensor([1.0, 1.0, 0.5, 0.0, 0.0, 0.0])])
 def test_shifts_of_the_first_input_and_the_last_output(scale: Tensor | None) -> None:
-    """Both ways compute W2 relu(W1 (x * scale + before)) + after, and its gradients by the shifts."""
+    """Both paths compute W2 relu(W1 (x * scale + before)) + after, and gradients by the shifts."""
     torch.manual_seed(0)
     first, last = Shifted(6, 8, "relu"), Shifted(8, 3)
     first.before, last.after = (
@@ -208,10 +208,11 @@ def test_shifts_in_between_leave_the_fused_path(where: str) -> None:
 
 @pytest.mark.parametrize("name", ["relu", "gelu", "mixed"])
 def test_bfloat16_is_as_near_as_its_eight_bits_allow(name: str) -> None:
-    """Every rounding errs by 2^-9 of its value at most, and a handful of them lie between input and output.
+    """The fused network in bfloat16 agrees with float32 to the errors of its roundings.
 
-    Backward, besides, a unit whose input is within 2^-9 of 0 may be on where it was off, one in some 400, with all of
-    its gradient: the root of 1/400 is 5 %.
+    Each rounding errs by at most 2^-9, and a handful of them are between input and output. In the
+    backward pass a unit whose input is within 2^-9 of 0 (one in about 400) may also be on where it
+    was off, with all of its gradient: the root of 1/400 is 5 %.
     """
     torch.manual_seed(0)
     network = Network(NETWORKS[name]())

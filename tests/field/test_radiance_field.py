@@ -65,7 +65,8 @@ def test_density_and_its_gradient_are_finite_for_any_raw_output(raw: float) -> N
     assert value.grad is not None and torch.isfinite(value.grad).all()
     expected = math.exp(min(raw, 15.0))
     torch.testing.assert_close(density, torch.tensor([expected]), rtol=1e-5, atol=1e-30)
-    # the documented clip: beyond 15 the gradient stays that at 15, so that the density can come back
+    # the documented clip: beyond 15 the gradient stays that at 15, so that the density can come
+    # back
     torch.testing.assert_close(value.grad[:, 0], torch.tensor([expected]), rtol=1e-5, atol=1e-30)
 
 

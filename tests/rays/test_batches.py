@@ -29,7 +29,7 @@ def draw(scene: Scene, needs: Needs, count: int = 64) -> Rays:
 
 
 def pixels_of(scene: Scene, rays: Rays) -> tuple[torch.Tensor, torch.Tensor]:
-    """View and pixel of each ray, by projecting a point of the ray into the view that it starts from."""
+    """View and pixel of each ray, by projecting one of its points into the view it starts from."""
     distances = (rays.origins[:, None] - scene.cameras.poses[list(scene.train), :, 3]).norm(dim=-1)
     views = torch.tensor(scene.train)[distances.argmin(dim=1)]
     points = rays.origins + rays.directions
@@ -124,7 +124,8 @@ def test_neighbours_are_adjacent_and_share_their_group(orbit: Scene, needs: Need
 
 def test_a_patch_counts_as_much_as_one_random_pixel(orbit: Scene) -> None:
     rays = draw(orbit, Needs(patch_size=4, patch_fraction=0.5))
-    # 32 pixels and 2 patches of 16: 34 equal shares of a mean of 1 over 64 rays, hence 64/34 and 64/34/16
+    # 32 pixels and 2 patches of 16: 34 equal shares of a mean of 1 over 64 rays,
+    # hence 64/34 and 64/34/16
     expected = torch.cat([torch.full((32,), 64 / 34), torch.full((32,), 64 / 34 / 16)])
     assert rays.target_weights is not None
     torch.testing.assert_close(rays.target_weights, expected)
@@ -184,7 +185,8 @@ def test_unseen_patches_are_squares_of_one_unseen_camera_each(
     scene = request.getfixturevalue(layout)
     rays = draw(scene, Needs(patch_size=4, unseen_patches=0.5, unseen_rays=0.25))
     assert rays.unseen is not None and rays.unseen_patches is not None
-    # Half of 64 rays are two patches; a quarter would be fewer, and is contained. No training patch was asked for.
+    # Half of 64 rays are two patches; a quarter would be fewer, and is contained. No training patch
+    # was asked for.
     assert rays.unseen_patches.shape == (2, 4, 4) and rays.patches is None
     assert torch.equal(rays.unseen_patches.flatten(), rays.unseen) and len(rays.targets) == 32
     for patch in rays.unseen_patches:

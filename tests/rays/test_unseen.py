@@ -10,7 +10,7 @@ from nerfreg.rays.unseen import poses_between
 
 
 def camera_at(angle: float) -> torch.Tensor:
-    """On the circle of radius 2 around (1, 0, 0) in the plane z = 0, looking at its centre, z up."""
+    """A pose on the circle of radius 2 around (1, 0, 0) at z = 0, looking at its centre, z up."""
     back = torch.tensor([math.cos(angle), math.sin(angle), 0.0])
     up = torch.tensor([0.0, 0.0, 1.0])
     return torch.stack(

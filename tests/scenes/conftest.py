@@ -1,4 +1,4 @@
-"""Where the real data lies, and a small scene of each format that is made of files."""
+"""The folder of real data, and a small scene of each format that reads files."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ def write_image(path: Path, width: int, height: int, channels: int = 3, value: i
 
 
 def pose_at(x: float) -> list[list[float]]:
-    """Stands at (x, 0, 2) and looks along -z."""
+    """A pose at (x, 0, 2) that looks along -z."""
     return [[1, 0, 0, x], [0, 1, 0, 0], [0, 0, 1, 2], [0, 0, 0, 1]]
 
 
 @pytest.fixture
 def transforms(tmp_path: Path) -> Path:
-    """Nine images of 8 x 6 pixels; the cameras stand in a row and look along -z."""
+    """Nine images of 8 x 6 pixels from cameras in a row that look along -z."""
     frames = []
     for index in range(9):
         write_image(tmp_path / "images" / f"{index}.png", 8, 6)
@@ -44,7 +44,10 @@ def transforms(tmp_path: Path) -> Path:
 
 @pytest.fixture
 def blender(tmp_path: Path) -> Path:
-    """Two training and two test frames of 8 x 8 pixels; opposite pairs of cameras at distance 2 look at the origin."""
+    """Two training and two test frames of 8 x 8 pixels.
+
+    Opposite pairs of cameras look at the origin from a distance of 2.
+    """
     turned = [[-1, 0, 0, 0], [0, 1, 0, 0], [0, 0, -1, -2], [0, 0, 0, 1]]
     for part in ("train", "test"):
         frames = [
@@ -60,7 +63,7 @@ def blender(tmp_path: Path) -> Path:
 
 @pytest.fixture
 def llff(tmp_path: Path) -> Path:
-    """Three images of 8 x 6 pixels for photographs of 80 x 60, seen by cameras in a row along world x."""
+    """Three images of 8 x 6 pixels for photographs of 80 x 60, by cameras in a row along x."""
     rows = []
     for index in range(3):
         # Columns: down = -y, right = x, backwards = z, position, (height, width, focal).

@@ -67,7 +67,8 @@ def test_look_at_point_of_one_view_is_beside_the_prior():
 
 
 def test_orbit_box_and_its_bounds():
-    # Nearest camera at distance 4, narrowest half field atan(1/2): radius 4 sin(atan(1/2)) = 4 / sqrt(5).
+    # Nearest camera at distance 4, narrowest half field atan(1/2):
+    # radius 4 sin(atan(1/2)) = 4 / sqrt(5).
     cameras = cameras_at([(5, 2, 3), (1, 8, 3), (101, 2, 3)], (1, 2, 3))
     radius = 4 / math.sqrt(5)
     box = bounds.orbit_box(cameras, (0, 1), has_alpha=True)

@@ -11,15 +11,16 @@ LENS = (-0.28, 0.09, 1e-3, -8e-4, -0.01)
 
 
 def camera(distortion: tuple[float, ...] = (0, 0, 0, 0, 0)) -> Cameras:
-    """4 x 2 pixels at (1, 2, 3), turned so that it looks along world +x with z up: right is world -y."""
+    """4 x 2 pixels at (1, 2, 3), looking along world +x with z up, so that right is world -y."""
     pose = torch.tensor([[[0.0, 0, -1, 1], [-1, 0, 0, 2], [0, 1, 0, 3]]])
     focal, center = torch.tensor([[2.0, 4.0]]), torch.tensor([[2.0, 1.0]])
     return Cameras(4, 2, pose, focal, center, torch.tensor([distortion], dtype=torch.float32))
 
 
 def test_ray_by_hand():
-    # Pixel (3, 0) has its centre at (3.5, 0.5): x = (3.5 - 2) / 2 = 0.75, y = (0.5 - 1) / 4 = -0.125 (down), so the
-    # ray is 1 ahead, 0.75 to the right, 0.125 up: (1, -0.75, 0.125) in the world.
+    # Pixel (3, 0) has its centre at (3.5, 0.5): x = (3.5 - 2) / 2 = 0.75 and
+    # y = (0.5 - 1) / 4 = -0.125 (down), so the ray is 1 ahead, 0.75 to the right, 0.125 up:
+    # (1, -0.75, 0.125) in the world.
     origins, directions = camera().rays(torch.tensor([0]), torch.tensor([[3, 0]]))
     expected = torch.tensor([1, -0.75, 0.125]) / (1 + 0.75**2 + 0.125**2) ** 0.5
     torch.testing.assert_close(origins[0], torch.tensor([1.0, 2, 3]))

@@ -25,8 +25,8 @@ def test_registry():
 
 
 def test_reduce_weighs_colors_by_alpha():
-    # Four pixels: red at alpha 1, green at alpha 0.5, two invisible blue ones. Premultiplied mean: (1, 0.5, 0) / 4,
-    # alpha 1.5 / 4; straight colour (2/3, 1/3, 0).
+    # Four pixels: red at alpha 1, green at alpha 0.5, two invisible blue ones. Premultiplied mean:
+    # (1, 0.5, 0) / 4, alpha 1.5 / 4; straight colour (2/3, 1/3, 0).
     image = torch.tensor([[[1.0, 0, 0, 1], [0, 1, 0, 0.5]], [[0, 0, 1, 0], [0, 0, 1, 0]]])
     torch.testing.assert_close(reduce(image, 2), torch.tensor([[[2 / 3, 1 / 3, 0, 0.375]]]))
     assert torch.equal(reduce(torch.zeros(2, 2, 4), 2), torch.zeros(1, 1, 4))
@@ -62,7 +62,8 @@ def test_blender(blender):
     assert scene.cameras.center[0].tolist() == [2, 2]
     assert (scene.train, scene.test, scene.layout) == ((0, 1), (2, 3), "orbit")
     assert scene.labels == ("train/r_0", "train/r_1", "test/r_0", "test/r_1")
-    # Distance 2, half field 45 degrees: radius sqrt(2); the ball around the box has sqrt(6) and holds the cameras.
+    # Distance 2, half field 45 degrees: radius sqrt(2); the ball around the box has sqrt(6) and
+    # holds the cameras.
     half_side = math.sqrt(2)
     torch.testing.assert_close(scene.box, torch.tensor([[-half_side] * 3, [half_side] * 3]))
     assert scene.near == pytest.approx(0.05 * 2)
@@ -90,8 +91,8 @@ def test_llff(llff):
     )
     assert (scene.train, scene.test, scene.layout) == ((1, 2), (0,), "forward")
     assert scene.labels == ("0", "1", "2")
-    # Training bounds: 1.5 to 11 and 1 to 12, so planes at 0.9 and 13.2. The corner ray is longer than its depth by
-    # sqrt(1 + 0.4^2 + 0.3^2), and views 1 and 2 stand at x = 0 and 1.
+    # Training bounds: 1.5 to 11 and 1 to 12, so planes at 0.9 and 13.2. The corner ray is longer
+    # than its depth by sqrt(1 + 0.4^2 + 0.3^2), and views 1 and 2 stand at x = 0 and 1.
     assert scene.near == pytest.approx(0.9)
     assert scene.far == pytest.approx(13.2 * math.sqrt(1.25), rel=1e-5)
     low, high = [-0.4 * 13.2, -0.3 * 13.2, -13.2], [1 + 0.4 * 13.2, 0.3 * 13.2, -0.9]
@@ -166,7 +167,7 @@ def test_given_bounds_win(transforms):
 
 
 def test_the_same_scene_written_in_two_formats_has_the_same_rays(tmp_path):
-    """The forward-facing procedural scene as LLFF and as transforms.json: rays agree up to LLFF's rigid motion."""
+    """Rays of one scene as LLFF and as transforms.json agree up to LLFF's rigid motion."""
     scene = Procedural(layout="forward", size=16, height=12, views=5, test_views=4).load()
     poses = scene.cameras.poses.double().numpy()
     focal = float(scene.cameras.focal[0, 0])
@@ -201,12 +202,14 @@ def test_chair(data):
     assert scene.labels[scene.train[0]] == "train/r_26"
     assert scene.labels[scene.test[-1]] == "test/r_199"
     assert (len(scene.train), len(scene.test), len(scene.cameras)) == (8, 25, 300)
-    # Blender's cameras stand 4.0311 from the origin; half the angle is 0.34556: 4.0311 sin(0.34556) = 1.3654.
+    # Blender's cameras stand 4.0311 from the origin; half the angle is 0.34556:
+    # 4.0311 sin(0.34556) = 1.3654.
     torch.testing.assert_close(
         scene.box, torch.tensor([[-1.3654] * 3, [1.3654] * 3]), atol=1e-3, rtol=0
     )
     assert scene.cameras.focal[0, 0] == pytest.approx(1111.111 / 2, rel=1e-5)
-    # The chair stands around the origin: the middle of what is opaque lies near the projected centre of the box.
+    # The chair stands around the origin: the middle of what is opaque lies near the projected
+    # centre of the box.
     for view in (*scene.train[:3], *scene.test[::8]):
         alpha = scene.read_image(view)[..., 3]
         y, x = torch.meshgrid(torch.arange(400) + 0.5, torch.arange(400) + 0.5, indexing="ij")
@@ -216,7 +219,7 @@ def test_chair(data):
 
 
 def test_chair_fills_one_and_the_same_space_in_all_views(data):
-    """A point is inside the hull of the alpha masks of all 8 views; with a wrong axis that hull would be empty."""
+    """The hull of the alpha masks of all 8 views is not empty, as it would be with a wrong axis."""
     scene = Blender(path=str(data / "nerf_synthetic" / "chair"), factor=8).load()
     axis = torch.linspace(-1.2, 1.2, 25)
     points = torch.cartesian_prod(axis, axis, axis)

@@ -19,7 +19,7 @@ def test_describe(llff):
         "distortion    none",
         "training      2 views: 1, 2",
         "depth         unknown",
-        "views 2 both train and test",
+        "views 2 are used for both training and test",
     ):
         assert line in text
 

@@ -7,13 +7,13 @@ import torch
 
 from nerfreg.errors import NerfregError
 from nerfreg.scenes import Procedural
-from nerfreg.scenes.solids import BALL, BLOCK, DRUM, Solid, Still, Texture
+from nerfreg.scenes.solids import BOX, CYLINDER, SPHERE, RayTracer, Solid, Texture
 
 WHITE = Texture("stripes", torch.ones(2, 3), 1.0, torch.zeros(3))
 
 
 def first_hit(solid: Solid, origin: list[float], direction: list[float]) -> float:
-    distance, _ = Still([solid]).trace(
+    distance, _ = RayTracer([solid]).trace(
         torch.tensor([origin], dtype=torch.float64), torch.tensor([direction], dtype=torch.float64)
     )
     return float(distance)
@@ -22,44 +22,49 @@ def first_hit(solid: Solid, origin: list[float], direction: list[float]) -> floa
 @pytest.mark.parametrize(
     ("solid", "origin", "direction", "expected"),
     [
-        (Solid(BALL, (0.0, 0.0, 5.0), (1.0, 1.0, 1.0), WHITE), [0, 0, 0], [0, 0, 1], 4),
+        (Solid(SPHERE, (0.0, 0.0, 5.0), (1.0, 1.0, 1.0), WHITE), [0, 0, 0], [0, 0, 1], 4),
         # Half a radius off the centre: the surface is sqrt(3)/2 before it.
         (
-            Solid(BALL, (0.0, 0.0, 5.0), (1.0, 1.0, 1.0), WHITE),
+            Solid(SPHERE, (0.0, 0.0, 5.0), (1.0, 1.0, 1.0), WHITE),
             [0.5, 0, 0],
             [0, 0, 1],
             5 - math.sqrt(3) / 2,
         ),
-        (Solid(BALL, (0.0, 0.0, 5.0), (1.0, 1.0, 1.0), WHITE), [1.01, 0, 0], [0, 0, 1], math.inf),
-        (Solid(BALL, (0.0, 0.0, 5.0), (1.0, 1.0, 1.0), WHITE), [0, 0, 0], [0, 0, -1], math.inf),
-        (Solid(BALL, (0.0, 0.0, 5.0), (1.0, 1.0, 2.0), WHITE), [0, 0, 0], [0, 0, 1], 3),
-        (Solid(BLOCK, (5.0, 0.0, 0.0), (1.0, 2.0, 3.0), WHITE), [0, 1.9, 0], [1, 0, 0], 4),
-        (Solid(BLOCK, (5.0, 0.0, 0.0), (1.0, 2.0, 3.0), WHITE), [0, 2.1, 0], [1, 0, 0], math.inf),
+        (Solid(SPHERE, (0.0, 0.0, 5.0), (1.0, 1.0, 1.0), WHITE), [1.01, 0, 0], [0, 0, 1], math.inf),
+        (Solid(SPHERE, (0.0, 0.0, 5.0), (1.0, 1.0, 1.0), WHITE), [0, 0, 0], [0, 0, -1], math.inf),
+        (Solid(SPHERE, (0.0, 0.0, 5.0), (1.0, 1.0, 2.0), WHITE), [0, 0, 0], [0, 0, 1], 3),
+        (Solid(BOX, (5.0, 0.0, 0.0), (1.0, 2.0, 3.0), WHITE), [0, 1.9, 0], [1, 0, 0], 4),
+        (Solid(BOX, (5.0, 0.0, 0.0), (1.0, 2.0, 3.0), WHITE), [0, 2.1, 0], [1, 0, 0], math.inf),
         # Turned by 45 degrees, a cube of half side 1 has its edge sqrt(2) before its centre.
         (
-            Solid(BLOCK, (5.0, 0.0, 0.0), (1.0, 1.0, 1.0), WHITE, turn=math.pi / 4),
+            Solid(BOX, (5.0, 0.0, 0.0), (1.0, 1.0, 1.0), WHITE, rotation=math.pi / 4),
             [0, 0, 0],
             [1, 0, 0],
             5 - math.sqrt(2),
         ),
-        (Solid(DRUM, (5.0, 0.0, 0.0), (1.0, 1.0, 1.0), WHITE), [0, 0.6, 0], [1, 0, 0], 5 - 0.8),
-        (Solid(DRUM, (0.0, 0.0, 5.0), (1.0, 1.0, 2.0), WHITE), [0.5, 0.5, 0], [0, 0, 1], 3),
-        (Solid(DRUM, (0.0, 0.0, 5.0), (1.0, 1.0, 2.0), WHITE), [0.8, 0.8, 0], [0, 0, 1], math.inf),
+        (Solid(CYLINDER, (5.0, 0.0, 0.0), (1.0, 1.0, 1.0), WHITE), [0, 0.6, 0], [1, 0, 0], 5 - 0.8),
+        (Solid(CYLINDER, (0.0, 0.0, 5.0), (1.0, 1.0, 2.0), WHITE), [0.5, 0.5, 0], [0, 0, 1], 3),
+        (
+            Solid(CYLINDER, (0.0, 0.0, 5.0), (1.0, 1.0, 2.0), WHITE),
+            [0.8, 0.8, 0],
+            [0, 0, 1],
+            math.inf,
+        ),
     ],
 )
 def test_distances_by_hand(solid, origin, direction, expected):
     assert first_hit(solid, origin, direction) == pytest.approx(expected, abs=1e-9)
 
 
-@pytest.mark.parametrize("shape", [BALL, BLOCK, DRUM])
+@pytest.mark.parametrize("shape", [SPHERE, BOX, CYLINDER])
 def test_normals_point_at_the_viewer_and_away_from_the_middle(shape):
-    solid = Solid(shape, (0.3, -0.2, 0.1), (0.5, 0.7, 0.9), WHITE, turn=0.4)
+    solid = Solid(shape, (0.3, -0.2, 0.1), (0.5, 0.7, 0.9), WHITE, rotation=0.4)
     generator = torch.Generator().manual_seed(0)
     directions = torch.nn.functional.normalize(
         torch.randn(500, 3, generator=generator).double(), dim=-1
     )
     origins = torch.tensor([0.3, -0.2, 0.1]).double() - 3 * directions
-    distance, _ = Still([solid]).trace(origins, directions)
+    distance, _ = RayTracer([solid]).trace(origins, directions)
     points = origins + distance[:, None] * directions
     _, normals = solid.surface(points)
     torch.testing.assert_close(normals.norm(dim=-1), torch.ones(500).double())
@@ -72,9 +77,11 @@ def test_normals_point_at_the_viewer_and_away_from_the_middle(shape):
 def test_blinn_phong_by_hand():
     # Light, eye and normal all along x: full diffuse and full highlight: 0.5 * 1 + 0.3.
     gray = Texture("stripes", torch.full((2, 3), 0.5), 1.0, torch.zeros(3))
-    still = Still([Solid(BALL, (0.0, 0.0, 0.0), (1.0, 1.0, 1.0), gray)], lamp=(1.0, 0.0, 0.0))
+    tracer = RayTracer(
+        [Solid(SPHERE, (0.0, 0.0, 0.0), (1.0, 1.0, 1.0), gray)], light=(1.0, 0.0, 0.0)
+    )
     eye = torch.tensor([[3.0, 0, 0], [-3.0, 0, 0], [3.0, 5, 0]])
-    colors, hit = still.shade(eye, torch.tensor([[-1.0, 0, 0], [1.0, 0, 0], [-1.0, 0, 0]]))
+    colors, hit = tracer.shade(eye, torch.tensor([[-1.0, 0, 0], [1.0, 0, 0], [-1.0, 0, 0]]))
     assert hit.tolist() == [True, True, False]
     torch.testing.assert_close(colors[0], torch.full((3,), 0.8))
     # From behind only the ambient light: 0.4 * 0.5.
@@ -82,17 +89,18 @@ def test_blinn_phong_by_hand():
 
 
 def test_a_solid_between_lamp_and_surface_casts_a_shadow():
-    balls = [Solid(BALL, (x, 0.0, 0.0), (1.0, 1.0, 1.0), WHITE) for x in (0.0, 4.0)]
+    balls = [Solid(SPHERE, (x, 0.0, 0.0), (1.0, 1.0, 1.0), WHITE) for x in (0.0, 4.0)]
     eye, direction = torch.tensor([[1.5, 0, 3.0]]), torch.tensor([[-0.5, 0, -3.0]])
     direction = direction / direction.norm()
-    lit, _ = Still(balls[:1], lamp=(1.0, 0.0, 0.0)).shade(eye, direction)
-    dark, _ = Still(balls, lamp=(1.0, 0.0, 0.0)).shade(eye, direction)
+    lit, _ = RayTracer(balls[:1], light=(1.0, 0.0, 0.0)).shade(eye, direction)
+    dark, _ = RayTracer(balls, light=(1.0, 0.0, 0.0)).shade(eye, direction)
     assert float(dark.max()) == pytest.approx(0.4)
     assert float(lit.min()) > 0.5
 
 
 def test_depth_of_the_scene_is_that_of_its_ball():
-    # The ray to the middle of the small ball, seen from above all others, hits it one radius before its middle.
+    # The ray to the middle of the small ball, seen from above all others, hits it one radius before
+    # its middle.
     scene = Procedural(size=401, views=8).load()
     center, radius = torch.tensor([-0.52, -0.48, -0.28]), 0.22
     seen = 0
@@ -144,7 +152,8 @@ def test_depth_maps_of_two_views_agree():
     distance = (points - scene.cameras.positions[other]).norm(dim=-1)
     visible = (there - distance).abs() < 0.02
     assert visible.float().mean() > 0.4
-    # Nothing is seen through: some neighbour (the point may lie on an outline) is no farther than the point.
+    # Nothing is seen through: some neighbour (the point may lie on an outline) is no farther than
+    # the point.
     nearest = -torch.nn.functional.max_pool2d(
         -scene.read_depth(other)[None], 3, stride=1, padding=1
     )[0]
@@ -208,14 +217,15 @@ def test_refused(values, message):
 
 
 def test_highlights_move_with_the_viewer():
-    # Halfway between lamp and eye turns half as far as the eye does: the same point of a glossy ball looks different.
+    # Halfway between light and eye turns half as far as the eye does: the same point of a glossy
+    # ball looks different.
     black = Texture("stripes", torch.zeros(2, 3), 1.0, torch.zeros(3))
-    still = Still(
-        [Solid(BALL, (0.0, 0.0, 0.0), (1.0, 1.0, 1.0), black, gloss=0.5)], lamp=(1.0, 0.0, 0.0)
+    tracer = RayTracer(
+        [Solid(SPHERE, (0.0, 0.0, 0.0), (1.0, 1.0, 1.0), black, gloss=0.5)], light=(1.0, 0.0, 0.0)
     )
     angle = math.radians(40)
     eyes = torch.tensor([[3.0, 0, 0], [1 + 2 * math.cos(angle), 2 * math.sin(angle), 0]])
-    colors, _ = still.shade(
+    colors, _ = tracer.shade(
         eyes, torch.nn.functional.normalize(torch.tensor([1.0, 0, 0]) - eyes, dim=-1)
     )
     torch.testing.assert_close(colors[0], torch.full((3,), 0.5))

@@ -1,4 +1,4 @@
-"""Files to scenes: one configuration per format, which is also its loader."""
+"""Scene formats: one configuration per format, which is also its loader."""
 
 from __future__ import annotations
 
@@ -28,8 +28,19 @@ SCENES: dict[str, type[SceneConfig]] = {
     "llff": LLFF,
     "transforms": Transforms,
 }
+"""The formats by the names that users choose them by (`scene=NAME`)."""
 
 
 def load_scene(config: SceneConfig) -> Scene:
-    """The scene that a configuration describes. Raises NerfregError for bad input."""
+    """Load the scene that a configuration describes.
+
+    Args:
+        config: Format, files and split.
+
+    Returns:
+        The scene. Its images are read when they are asked for.
+
+    Raises:
+        NerfregError: If a file or a value of the configuration is wrong.
+    """
     return config.load()

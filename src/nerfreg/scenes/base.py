@@ -1,4 +1,4 @@
-"""The configuration that all formats share, and the last step of loading, which is the same for all."""
+"""The configuration and the last step of loading that all scene formats share."""
 
 from __future__ import annotations
 
@@ -19,20 +19,30 @@ from nerfreg.scenes.scene import Scene
 
 LAYOUTS = ("orbit", "forward")
 BACKGROUNDS = {"white": 1.0, "black": 0.0}
+"""Backgrounds by name, as the value of all three channels."""
 
 
 @dataclass
 class SceneConfig:
-    """What every format understands. None stands for what the format, the cameras or the images say.
+    """What every format understands.
 
-    path: where the files lie. views: number of training views.
-    split: "llff", "nerf_synthetic_8", "every_8" or "lists"; None: what is usual for the format.
-    train, test: view numbers for the split "lists".
-    held_out: which of the training views (0: the first) are left out of training and scored in place of the test
-        views, which are then not even read. For choices that must not look at a test view.
-    layout: how the cameras stand, "orbit" (around an object) or "forward" (side by side).
-    background: "white" or "black", behind images with alpha.
-    near, far: bounds of every ray. box: lower and upper corner of the space that is modelled. World units.
+    None stands for what the format, the cameras or the images imply.
+
+    Attributes:
+        path: Where the files are.
+        views: Number of training views.
+        split: "llff", "nerf_synthetic_8", "every_8" or "lists"; None for the usual protocol of the
+            format.
+        train: Numbers of the training views for the split "lists".
+        test: Numbers of the test views for the split "lists".
+        held_out: Positions among the training views (0 is the first) of those that are left out of
+            training and scored in place of the test views, which are then not even read. For
+            choices that must not depend on a test view.
+        layout: How the cameras are placed, "orbit" (around an object) or "forward" (side by side).
+        background: "white" or "black", behind images with alpha.
+        near: Where rays begin, in world units.
+        far: Where rays end, in world units.
+        box: Lower and upper corner of the modelled space, in world units.
     """
 
     path: str | None = None
@@ -49,21 +59,49 @@ class SceneConfig:
     box: list[Any] | None = None
 
     def load(self) -> Scene:
-        """Read what the scene needs before any image is read. Raises NerfregError for bad input."""
+        """Read everything but the images.
+
+        Returns:
+            The scene.
+
+        Raises:
+            NerfregError: If a file or a value of the configuration is wrong.
+        """
         raise NotImplementedError
 
     def split_of_one(self, count: int) -> splits.Split:
-        """The split of `count` images that lie together."""
+        """Split `count` images that are numbered together.
+
+        Args:
+            count: Number of images.
+
+        Returns:
+            The split that the configuration asks for.
+
+        Raises:
+            NerfregError: If the configuration asks for something impossible.
+        """
         return splits.choose_from_one(self.split, count, self.views, self.train, self.test)
 
     def split_of_two(self, train_count: int, test_count: int) -> splits.Split:
-        """The split of frames that come in a training and a test file, each numbered from 0."""
+        """Split frames that come in a training and a test file.
+
+        Args:
+            train_count: Number of frames in the training file.
+            test_count: Number of frames in the test file.
+
+        Returns:
+            The split that the configuration asks for; the frames of each file are numbered from 0.
+
+        Raises:
+            NerfregError: If the configuration asks for something impossible.
+        """
         return splits.choose_from_two(
             self.split, (train_count, test_count), self.views, self.train, self.test
         )
 
     def after_holding_out(self, split: splits.Split) -> splits.Split:
-        """The split, or what `held_out` makes of it."""
+        """Apply `held_out` to a split, if it is set."""
         return split if self.held_out is None else splits.hold_out(split, self.held_out)
 
 
@@ -79,10 +117,28 @@ def assemble(
     depths: tuple[float, float] | None = None,
     read_depth: Callable[[int], Float[Tensor, "height width"]] | None = None,
 ) -> Scene:
-    """Make a scene of what a format read: find where it sits, and let the configuration override that.
+    """Make a scene of what a format has read.
 
-    layout: the usual one for the format; None: whatever the cameras say.
-    depths: least and greatest depth seen from the training cameras; None where no depth is known.
+    Derives layout, box and bounds from the cameras, where the configuration does not give them.
+
+    Args:
+        config: The configuration.
+        name: Name of the scene.
+        cameras: Cameras of all views.
+        split: Training and test views.
+        labels: A name for each view, for messages and files.
+        read_image: Reads the image of a view, in [0, 1].
+        has_alpha: Whether the images have an alpha channel.
+        layout: The usual layout of the format; None to look at the cameras.
+        depths: Least and greatest depth seen from the training cameras; None if unknown.
+        read_depth: Returns the true distance along the rays of a view; None if unknown.
+
+    Returns:
+        The scene.
+
+    Raises:
+        NerfregError: If a value of the configuration is wrong, or if where the scene is cannot be
+            derived.
     """
     check_choice("scene.background", config.background, tuple(BACKGROUNDS))
     if config.layout is not None:
@@ -114,7 +170,7 @@ def _place(
     has_alpha: bool,
     depths: tuple[float, float] | None,
 ) -> tuple[Float[Tensor, "2 3"], float, float]:
-    """Box, near and far. The box covers what the training views see; the bounds reach it from every camera."""
+    """Box, near and far: the box covers what the training views see, the bounds reach all of it."""
     box = _given_box(config)
     for key, value in (("near", config.near), ("far", config.far)):
         if value is not None and not (value > 0 and math.isfinite(value)):
@@ -122,10 +178,14 @@ def _place(
     if layout == "orbit":
         if box is None:
             box = bounds.orbit_box(cameras, split.train, has_alpha)
+        # Rays of the test cameras must reach the box, too, and these may stand nearer or farther.
+        # The box itself depends on the training views alone.
         near, far = bounds.bounds_of_box(cameras, (*split.train, *split.test), box)
     elif box is not None and depths is None:
+        # The given box is then better knowledge than a guess from the axes.
         near, far = bounds.bounds_of_box(cameras, split.train, box)
     else:
+        # Nothing is derived where both are given: cameras that look at no common point would raise.
         if config.near and config.far:
             near, far = config.near, config.far
         else:
@@ -137,7 +197,10 @@ def _place(
             near, far = config.near or near, config.far or far
         if box is None:
             box = bounds.frusta_box(cameras, split.train, near, far)
+        # So far `far` has been a depth along the optical axis; rays measure distance, which is
+        # longer towards the corners.
         far = bounds.ray_length(cameras, split.train, far)
+    # What the user says holds to the letter, even where `far` was just lengthened.
     near, far = config.near or near, config.far or far
     if not near < far:
         raise NerfregError(f"scene.near={near:g}: must be less than scene.far={far:g}")

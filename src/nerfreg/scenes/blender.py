@@ -1,4 +1,4 @@
-"""NeRF-Synthetic: `transforms_train.json`, `transforms_test.json` and images with alpha, as Blender renders them."""
+"""NeRF-Synthetic (Mildenhall et al. 2020): frames in two JSON files, and images with alpha."""
 
 from __future__ import annotations
 
@@ -22,23 +22,27 @@ from nerfreg.scenes.checks import (
     require_frames,
     scene_folder,
 )
-from nerfreg.scenes.images import check_headers, find_image, read_image
+from nerfreg.scenes.images import check_factor, check_headers, find_image, read_image
 from nerfreg.scenes.scene import Scene
 from nerfreg.scenes.splits import Split
 
 
 @dataclass
 class Blender(SceneConfig):
-    """A folder of NeRF-Synthetic. Views number the training frames first, then the test frames.
+    """A folder of NeRF-Synthetic, with `transforms_train.json` and `transforms_test.json`.
 
-    factor: the images are made this many times smaller. `train` and `test` number the frames of their own files.
+    Views number the training frames first, then the test frames. `train` and `test` number the
+    frames of their own files.
+
+    Attributes:
+        factor: How many times smaller to make the images.
     """
 
     layout: str | None = "orbit"
     factor: int = 2
 
     def load(self) -> Scene:
-        """Read both files of frames, and the headers of the images of the split."""
+        """Read both JSON files, and the headers of the images of the split."""
         folder = scene_folder(self.path)
         train_files, train_poses, angle = _read_frames(folder / "transforms_train.json")
         test_files, test_poses, _ = _read_frames(folder / "transforms_test.json")
@@ -48,11 +52,10 @@ class Blender(SceneConfig):
         )
         files = train_files + test_files
         header = check_headers([files[view] for view in (*split.train, *split.test)])
-        if not 1 <= self.factor <= min(header.width, header.height):
-            raise NerfregError(
-                f"scene.factor={self.factor}: must lie between 1 and the image size, {header.width} x {header.height}"
-            )
+        check_factor(self.factor, header.width, header.height)
         count = len(files)
+        # From the original width and not the reduced one, which may be rounded down: dropping the
+        # last columns of an image does not change its focal length, nor its centre below.
         focal = 0.5 * header.width / math.tan(0.5 * angle) / self.factor
         cameras = Cameras(
             header.width // self.factor,

@@ -1,4 +1,4 @@
-"""Where a scene sits and how big it is, from nothing but its cameras and what is known of its depths."""
+"""Derive where a scene is and how large it is from its cameras and its known depths."""
 
 from __future__ import annotations
 
@@ -13,25 +13,36 @@ from nerfreg.errors import NerfregError
 from nerfreg.scenes.cameras import Cameras
 
 OPAQUE_EXTENT = 4.0
-"""Around an object that was cut out there is nothing. In a photograph there is a room: the box is this much larger
-than what all cameras see, which puts the usual camera (half a field of view of 20 degrees, 3 radii away) inside it."""
+"""How much larger the box of an orbit is for opaque photographs than the cube that all cameras see.
+Around an object with alpha there is nothing, but in a photograph there are its surroundings. Four
+times puts the usual camera (20 degrees of half field of view, so about 3 radii away) inside."""
 
 NEAREST = 0.05
-"""Rays begin at this fraction of the distance to what is looked at, where the box alone would let them begin at 0."""
+"""Rays begin no nearer than at this fraction of the distance from the nearest camera to the centre
+of the box. Those of a camera inside the box would otherwise begin at 0."""
 
 DEPTH_MARGIN = 0.1
-"""Known depths are those of some points, and usually without the most extreme ones, lest they be outliers. So the
-nearest is taken this fraction nearer and the farthest this fraction farther."""
+"""Fraction by which the nearest known depth is taken nearer and the farthest one farther. Known
+depths are those of sparse points, usually percentiles, which stop short of the true extremes."""
 
 UNKNOWN_DEPTHS = (0.25, 4.0)
-"""Forward-facing cameras without depths: from where to where, in distances to the point they look at."""
+"""Near and far for forward-facing cameras without depths, in distances to where their axes meet."""
 
 FORWARD_COHERENCE = 0.85
-"""Cameras face forward if their mean viewing direction is at least this long: most within 30 degrees of it."""
+"""Least length of the mean viewing direction of forward-facing cameras. The cosine of 30 degrees is
+0.87: most cameras look within 30 degrees of the mean."""
 
 
 def find_layout(cameras: Cameras, views: Sequence[int]) -> str:
-    """`"forward"` if the cameras look in about the same direction, else `"orbit"`."""
+    """Tell forward-facing cameras from an orbit.
+
+    Args:
+        cameras: The cameras.
+        views: The views to look at.
+
+    Returns:
+        "forward" if the cameras look in about the same direction, else "orbit".
+    """
     coherence = cameras.axes[list(views)].mean(0).norm()
     return "forward" if coherence > FORWARD_COHERENCE else "orbit"
 
@@ -39,29 +50,54 @@ def find_layout(cameras: Cameras, views: Sequence[int]) -> str:
 def look_at_point(
     cameras: Cameras, views: Sequence[int], prior: Float[Tensor, " 3"] | None = None
 ) -> Float[Tensor, " 3"]:
-    """The point nearest to the optical axes in the least-squares sense.
+    """Find the point nearest to the optical axes in the least-squares sense.
 
-    It solves sum_i (I - a_i a_i^T) (p - o_i) = 0 for origins o and axes a. Along directions in which the axes leave it
-    open (a single view, parallel axes), it is the solution nearest to `prior`, or else to the world's origin.
+    It solves sum_i (I - a_i a_i^T) (p - o_i) = 0 for origins o and unit axes a.
+
+    Args:
+        cameras: The cameras.
+        views: The views to look at.
+        prior: Where axes do not determine the point (a single view, parallel axes), the solution
+            nearest to this point is taken; None for the origin of the world.
+
+    Returns:
+        The point, `(3,)`.
     """
+    # In double: the matrix is a difference of nearly equal numbers where axes are nearly parallel.
     axes, origins = cameras.axes[list(views)].double(), cameras.positions[list(views)].double()
     across = torch.eye(3, dtype=torch.float64) - axes[:, :, None] * axes[:, None, :]
     start = torch.zeros(3).double() if prior is None else prior.double()
     residual = (across @ (origins - start)[:, :, None]).sum(0)[:, 0]
+    # The pseudoinverse leaves out directions that the axes do not determine, so that `start` stays
+    # as it is along them. Axes that differ by less than a fraction of a degree count as parallel.
     point: Tensor = start + torch.linalg.pinv(across.sum(0), rtol=1e-5, hermitian=True) @ residual
     return point.float()
 
 
 def orbit_box(cameras: Cameras, views: Sequence[int], has_alpha: bool) -> Float[Tensor, "2 3"]:
-    """The cube around the largest ball that lies inside every view.
+    """Compute the cube around the largest ball that every view shows whole.
 
-    Its centre is the point the cameras look at, its half side the smallest, over cameras, of the distance times the
-    sine of the narrowest half field of view; for opaque photographs `OPAQUE_EXTENT` times that.
+    Its centre is the point that the cameras look at. Its half side is the minimum over the cameras
+    of distance times sine of the narrowest half field of view, times `OPAQUE_EXTENT` for opaque
+    images.
+
+    Args:
+        cameras: The cameras.
+        views: The training views.
+        has_alpha: Whether the images have an alpha channel.
+
+    Returns:
+        Lower and upper corner.
+
+    Raises:
+        NerfregError: If the cameras look at no common point.
     """
     center = look_at_point(cameras, views)
     distances = _distances_ahead(cameras, views, center)
     size = torch.tensor([cameras.width, cameras.height])
     half_fields = torch.atan(0.5 * size / cameras.focal[list(views)]).amin(-1)
+    # The sine and not the tangent: a ball touches the sides of the field of view, not the image
+    # plane.
     radius = (distances * half_fields.sin()).min()
     half_side = radius * (1.0 if has_alpha else OPAQUE_EXTENT)
     return torch.stack((center - half_side, center + half_side))
@@ -70,7 +106,16 @@ def orbit_box(cameras: Cameras, views: Sequence[int], has_alpha: bool) -> Float[
 def bounds_of_box(
     cameras: Cameras, views: Sequence[int], box: Float[Tensor, "2 3"]
 ) -> tuple[float, float]:
-    """Nearest and farthest distance from the cameras to the ball around the box."""
+    """Compute the nearest and the farthest distance from cameras to the ball around a box.
+
+    Args:
+        cameras: The cameras.
+        views: The views whose rays must reach all of the box.
+        box: Lower and upper corner.
+
+    Returns:
+        Near and far.
+    """
     center, reach = box.mean(0), float((box[1] - box[0]).norm()) / 2
     distances = (cameras.positions[list(views)] - center).norm(dim=-1)
     nearest, farthest = float(distances.min()), float(distances.max())
@@ -78,18 +123,38 @@ def bounds_of_box(
 
 
 def depth_bounds(nearest: float, farthest: float) -> tuple[float, float]:
-    """Planes in front of and behind everything, given the least and the greatest known depth."""
+    """Return near and far planes around everything, given the least and greatest known depth."""
     return nearest * (1 - DEPTH_MARGIN), farthest * (1 + DEPTH_MARGIN)
 
 
 def guess_depth_bounds(cameras: Cameras, views: Sequence[int]) -> tuple[float, float]:
-    """Planes for forward-facing cameras of which no depth is known, from where their axes meet."""
+    """Guess near and far planes of forward-facing cameras from where their axes meet.
+
+    Args:
+        cameras: The cameras.
+        views: The training views.
+
+    Returns:
+        Near and far depth.
+
+    Raises:
+        NerfregError: If the cameras look at no common point.
+    """
     distances = _distances_ahead(cameras, views, look_at_point(cameras, views))
     return UNKNOWN_DEPTHS[0] * float(distances.min()), UNKNOWN_DEPTHS[1] * float(distances.max())
 
 
 def frustum(cameras: Cameras, view: int, depth: float) -> Float[Tensor, "4 3"]:
-    """The corners of the image of a view, out in the world at a depth along its optical axis; in order around it."""
+    """Project the corners of an image out into the world.
+
+    Args:
+        cameras: The cameras.
+        view: The view.
+        depth: Depth along the optical axis.
+
+    Returns:
+        The corners, in order around the image.
+    """
     width, height = float(cameras.width), float(cameras.height)
     corners = torch.tensor([[0.0, 0.0], [width, 0.0], [width, height], [0.0, height]])
     origins, directions = cameras.rays_through(torch.full((4,), view), corners)
@@ -100,13 +165,32 @@ def frustum(cameras: Cameras, view: int, depth: float) -> Float[Tensor, "4 3"]:
 def frusta_box(
     cameras: Cameras, views: Sequence[int], near: float, far: float
 ) -> Float[Tensor, "2 3"]:
-    """The axis-aligned box of what the cameras see between two depths (measured along the optical axis)."""
+    """Compute the axis-aligned box of what cameras see between two depths.
+
+    Args:
+        cameras: The cameras.
+        views: The views.
+        near: Least depth along the optical axis.
+        far: Greatest depth along the optical axis.
+
+    Returns:
+        Lower and upper corner.
+    """
     corners = torch.cat([frustum(cameras, view, depth) for view in views for depth in (near, far)])
     return torch.stack((corners.amin(0), corners.amax(0)))
 
 
 def ray_length(cameras: Cameras, views: Sequence[int], depth: float) -> float:
-    """The longest distance along a ray to a plane at `depth`: that through the corner farthest from the axis."""
+    """Compute the longest distance along a ray to the plane at a depth, through a corner.
+
+    Args:
+        cameras: The cameras.
+        views: The views.
+        depth: Depth of the plane along the optical axis.
+
+    Returns:
+        The distance.
+    """
     lengths = [
         (frustum(cameras, view, depth) - cameras.positions[view]).norm(dim=-1).max()
         for view in views
@@ -120,10 +204,12 @@ def _distances_ahead(
     offsets = point - cameras.positions[list(views)]
     distances = offsets.norm(dim=-1)
     ahead = (offsets * cameras.axes[list(views)]).sum(-1)
-    # Half the distance: a camera that looks 60 degrees past the point does not look at it.
+    # Ahead by half the distance at least: a camera that looks 60 degrees past the point does not
+    # look at it. NaN would pass this comparison, hence the first test.
     if not math.isfinite(float(distances.sum())) or bool((ahead <= 0.5 * distances).any()):
         raise NerfregError(
-            "scene.box: the training cameras do not look at one place, so where the scene sits is unknown; "
-            "give scene.box, scene.near and scene.far, or scene.layout=forward with scene.near and scene.far"
+            "scene.box: the training cameras do not look at one place, which leaves the position "
+            "of the scene unknown; give scene.box, scene.near and scene.far, or "
+            "scene.layout=forward with scene.near and scene.far"
         )
     return distances

@@ -1,4 +1,4 @@
-"""What stands at the border: checks of names, files and poses that say what is wrong and where."""
+"""Checks of names, files and poses at the border, which say what is wrong and where."""
 
 from __future__ import annotations
 
@@ -13,10 +13,24 @@ from jaxtyping import Float
 from nerfreg.errors import NerfregError, nearest
 
 RIGID_TOLERANCE = 1e-3
+"""How far products of a pose's axes may be from those of an orthonormal frame. Files hold rounded
+decimals; anything larger is a scale or a shear, with which distances along rays would be wrong."""
 
 
 def check_choice(key: str, value: str, choices: Sequence[str]) -> str:
-    """Return `value` if it is one of `choices`; otherwise name the nearest one."""
+    """Check that a value is one of several choices.
+
+    Args:
+        key: The key of the configuration, for the message.
+        value: The value.
+        choices: What it may be.
+
+    Returns:
+        The value.
+
+    Raises:
+        NerfregError: If it is none of the choices. The message names the nearest one.
+    """
     if value in choices:
         return value
     raise NerfregError(
@@ -25,10 +39,20 @@ def check_choice(key: str, value: str, choices: Sequence[str]) -> str:
 
 
 def scene_folder(path: str | None) -> Path:
-    """The folder or file that `scene.path` names."""
+    """Find the folder or file that `scene.path` names.
+
+    Args:
+        path: The value of the key, in which "~" is the home directory.
+
+    Returns:
+        The path.
+
+    Raises:
+        NerfregError: If it is not set or does not exist.
+    """
     if not path:
         raise NerfregError(
-            "scene.path: not set; say where the scene lies, e.g. scene.path=data/fern"
+            "scene.path: not set; give the folder of the scene, e.g. scene.path=data/fern"
         )
     folder = Path(path).expanduser()
     if not folder.exists():
@@ -37,7 +61,17 @@ def scene_folder(path: str | None) -> Path:
 
 
 def read_json(path: Path) -> dict[str, Any]:
-    """The JSON object in a file."""
+    """Read a JSON object from a file.
+
+    Args:
+        path: The file.
+
+    Returns:
+        The object.
+
+    Raises:
+        NerfregError: If the file is missing or holds anything else.
+    """
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError:
@@ -50,14 +84,37 @@ def read_json(path: Path) -> dict[str, Any]:
 
 
 def require(content: dict[str, Any], key: str, where: str) -> Any:
-    """The value of a key that must be there. where: the file, and the frame if it is inside one."""
+    """Return the value of a required key.
+
+    Args:
+        content: The object that must have the key.
+        key: The key.
+        where: The file, and the frame if the object is one, for the message.
+
+    Returns:
+        The value.
+
+    Raises:
+        NerfregError: If the key is missing.
+    """
     if key not in content:
         raise NerfregError(f"{where}: key '{key}' is missing")
     return content[key]
 
 
 def require_frames(content: dict[str, Any], path: Path) -> list[dict[str, Any]]:
-    """The frames of a transforms file, at least one."""
+    """Return the frames of a transforms file.
+
+    Args:
+        content: The content of the file.
+        path: The file, for the message.
+
+    Returns:
+        The frames, at least one.
+
+    Raises:
+        NerfregError: If there is none, or they are not a list of objects.
+    """
     frames = require(content, "frames", str(path))
     if (
         not isinstance(frames, list)
@@ -69,15 +126,39 @@ def require_frames(content: dict[str, Any], path: Path) -> list[dict[str, Any]]:
 
 
 def number(content: dict[str, Any], key: str, where: str) -> float:
-    """The finite number that stands at a key."""
+    """Return the finite number at a required key.
+
+    Args:
+        content: The object that must have the key.
+        key: The key.
+        where: The file, and the frame if the object is one, for the message.
+
+    Returns:
+        The number.
+
+    Raises:
+        NerfregError: If the key is missing, or its value is no finite number.
+    """
     value = require(content, key, where)
+    # A bool is an int in Python, and JSON as Python reads it may hold NaN and Infinity.
     if isinstance(value, bool) or not isinstance(value, int | float) or not np.isfinite(value):
         raise NerfregError(f"{where}: '{key}' must be a number, not {value!r}")
     return float(value)
 
 
 def frame_pose(frame: dict[str, Any], where: str) -> Float[np.ndarray, "3 4"]:
-    """The camera-to-world matrix of a frame of a transforms file, checked."""
+    """Return the camera-to-world matrix of a frame of a transforms file.
+
+    Args:
+        frame: The frame.
+        where: The file and the frame, for the message.
+
+    Returns:
+        The matrix, in double precision.
+
+    Raises:
+        NerfregError: If it is missing, has another shape, or is not rigid.
+    """
     matrix = require(frame, "transform_matrix", where)
     try:
         pose = np.array(matrix, dtype=np.float64)
@@ -89,15 +170,27 @@ def frame_pose(frame: dict[str, Any], where: str) -> Float[np.ndarray, "3 4"]:
 
 
 def check_rigid(pose: Float[np.ndarray, "3 4"], where: str) -> Float[np.ndarray, "3 4"]:
-    """Return `pose` if it is finite, and a rotation followed by a shift."""
+    """Check that a pose is a rotation followed by a translation.
+
+    Args:
+        pose: The pose.
+        where: The file, and the frame or row, for the message.
+
+    Returns:
+        The pose.
+
+    Raises:
+        NerfregError: If it is not finite, scales, shears or mirrors.
+    """
     if not np.isfinite(pose).all():
         raise NerfregError(f"{where}: the pose holds NaN or infinity")
     rotation = pose[:, :3]
     error = np.abs(rotation.T @ rotation - np.eye(3)).max()
     if error > RIGID_TOLERANCE:
         raise NerfregError(
-            f"{where}: the pose is not rigid; its axes are off orthonormal by {error:.2g}"
+            f"{where}: the pose is not rigid; its axes deviate from orthonormal by {error:.2g}"
         )
+    # A mirrored frame is orthonormal, too: as a rule an axis was flipped in a conversion.
     if np.linalg.det(rotation) < 0:
         raise NerfregError(f"{where}: the pose is not rigid; it mirrors (determinant -1)")
     return pose

@@ -1,4 +1,4 @@
-"""What was found of a scene: in words, and as a picture of its cameras."""
+"""Describe a scene in words, and draw its cameras."""
 
 from __future__ import annotations
 
@@ -20,10 +20,18 @@ if TYPE_CHECKING:
 
 TRAIN_COLOR, TEST_COLOR, BOX_COLOR, POINT_COLOR = "#d1495b", "#30638e", "#8d99ae", "#1b9e77"
 LISTED = 12
+"""Most views that are listed by name; of more, the first ones and the last."""
 
 
 def describe(scene: Scene) -> str:
-    """A few lines on what was found: counts, cameras, split, bounds, alpha and depth."""
+    """Describe what was found: cameras, split, bounds, alpha and depth.
+
+    Args:
+        scene: The scene.
+
+    Returns:
+        A few lines of text.
+    """
     cameras, views = scene.cameras, [*scene.train, *scene.test]
     focal, center = cameras.focal[views], cameras.center[views]
     angles = torch.rad2deg(
@@ -47,7 +55,8 @@ def describe(scene: Scene) -> str:
         ("near, far", f"{scene.near:.4g}, {scene.far:.4g}"),
         (
             "box",
-            f"{_numbers(scene.box[0])} to {_numbers(scene.box[1])}, {' x '.join(f'{s:.4g}' for s in size)}",
+            f"{_numbers(scene.box[0])} to {_numbers(scene.box[1])}, "
+            f"{' x '.join(f'{s:.4g}' for s in size)}",
         ),
         ("depth", "known" if scene.read_depth else "unknown"),
     ]
@@ -56,14 +65,24 @@ def describe(scene: Scene) -> str:
         lines.append(
             (
                 "note",
-                f"views {', '.join(map(str, shared))} both train and test: scores will flatter",
+                f"views {', '.join(map(str, shared))} are used for both training and test: "
+                "scores will be too good",
             )
         )
     return "\n".join(f"{name:<14}{text}" for name, text in lines)
 
 
 def draw_cameras(scene: Scene, path: Path) -> None:
-    """Draw the cameras of the split from above and from the side, with the box and where they look, as an image."""
+    """Draw the cameras of the split from above and from the side, with the box.
+
+    Args:
+        scene: The scene.
+        path: The PNG file to write.
+
+    Raises:
+        NerfregError: If the file cannot be written.
+    """
+    # matplotlib takes long to import; `Figure` by itself needs neither pyplot nor a display.
     from matplotlib.figure import Figure
 
     top, side = _views_of_world(scene)
@@ -86,7 +105,7 @@ def draw_cameras(scene: Scene, path: Path) -> None:
 
 
 class _Projection(NamedTuple):
-    """The world axes that a panel shows, to the right and upwards, and the way they point (+1 or -1)."""
+    """The world axes that a panel shows to the right and upwards, and their signs there."""
 
     right: int
     right_sign: float
@@ -98,7 +117,12 @@ class _Projection(NamedTuple):
 
 
 def _views_of_world(scene: Scene) -> tuple[_Projection, _Projection]:
-    """From above, and from the side with the viewing direction to the right (towards the top, seen from above)."""
+    """The views from above and from the side.
+
+    The viewing direction of forward-facing cameras points up in the first and right in the second.
+    """
+    # The world axis nearest to the mean up direction of the images: files use y or z, of either
+    # sign.
     views = [*scene.train, *scene.test]
     upward, forward = scene.cameras.poses[views, :, 1].mean(0), scene.cameras.axes[views].mean(0)
     up = int(upward.abs().argmax())
@@ -111,7 +135,7 @@ def _views_of_world(scene: Scene) -> tuple[_Projection, _Projection]:
     )
     across = first if ahead == second else second
     ahead_sign = -1.0 if scene.layout == "forward" and forward[ahead] < 0 else 1.0
-    # Right-handed, seen against the upward axis: right x ahead = up.
+    # So that the view from above is no mirror image: right x ahead = up must hold.
     cycle = 1.0 if (across + 1) % 3 == ahead else -1.0
     across_sign = cycle * ahead_sign * up_sign
     return _Projection(across, across_sign, ahead, ahead_sign), _Projection(
@@ -145,6 +169,7 @@ def _draw_panel(axes: Axes, scene: Scene, projection: _Projection) -> None:
         _draw_frusta(axes, scene, projection, 0.04 * extent)
         for view in scene.train:
             apex = projection(scene.cameras.positions[view][None])[0]
+            # Lines of sight go on to the far side of the box, seen from its centre.
             reach = (
                 float(
                     (scene.box.mean(0) - scene.cameras.positions[view]) @ scene.cameras.axes[view]
@@ -166,7 +191,7 @@ def _draw_panel(axes: Axes, scene: Scene, projection: _Projection) -> None:
 def _draw_frusta(
     axes: Axes, scene: Scene, projection: _Projection, length: float
 ) -> list[Float[np.ndarray, " 2"]]:
-    """Draw all cameras of the split as pyramids of some length; returns the corners."""
+    """Draw all cameras of the split as pyramids of some length, and return their corners."""
     from matplotlib.collections import LineCollection, PolyCollection
 
     corners = []
@@ -193,7 +218,7 @@ def _draw_frusta(
 def _draw_closeup(
     axes: Axes, scene: Scene, projection: _Projection, positions: Float[np.ndarray, "views 2"]
 ) -> None:
-    """Cameras that stand side by side are a dot beside what they see; show them larger in a corner of the box."""
+    """Show cameras side by side larger in an inset: beside what they see they are but a dot."""
     spread = float((positions.max(0) - positions.min(0)).max())
     if spread == 0:
         return

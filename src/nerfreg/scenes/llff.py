@@ -1,4 +1,4 @@
-"""LLFF: `poses_bounds.npy` and folders `images`, `images_4`, `images_8`, ... of forward-facing photographs."""
+"""LLFF (Mildenhall et al. 2019): `poses_bounds.npy` and folders of forward-facing photographs."""
 
 from __future__ import annotations
 
@@ -23,9 +23,12 @@ from nerfreg.scenes.scene import Scene
 
 @dataclass
 class LLFF(SceneConfig):
-    """A folder of LLFF. The world is moved rigidly, so that the average camera is at its origin; its unit is kept.
+    """A folder of LLFF, with `poses_bounds.npy` and `images` or `images_<factor>`.
 
-    factor: read `images_<factor>`, or `images` if 1; None: the smallest images that are there.
+    The world is moved rigidly so that the average camera is at its origin. Its unit is kept.
+
+    Attributes:
+        factor: Read `images_<factor>`, or `images` if 1; None for the smallest images there are.
     """
 
     layout: str | None = "forward"
@@ -37,6 +40,7 @@ class LLFF(SceneConfig):
         path = folder / "poses_bounds.npy"
         poses, sizes, focal, depths = _read_poses(path)
         images = _image_folder(folder, self.factor)
+        # Rows have no names: the i-th belongs to the i-th image in the order of the file names.
         files = list_images(images)
         if len(files) != len(poses):
             raise NerfregError(
@@ -44,7 +48,8 @@ class LLFF(SceneConfig):
             )
         split = self.after_holding_out(self.split_of_one(len(files)))
         header = check_headers([files[view] for view in (*split.train, *split.test)])
-        # The file speaks of the photographs as they were taken, these may be smaller.
+        # The file holds the size and the focal length of the photographs as they were taken. Both
+        # axes get a scale of their own, since the smaller images have rounded sizes.
         scale = np.array([header.width, header.height]) / sizes
         cameras = Cameras(
             header.width,
@@ -58,6 +63,7 @@ class LLFF(SceneConfig):
         def read(view: int) -> Tensor:
             return read_image(files[view])
 
+        # Training views alone: nothing about the test views may influence training.
         seen = depths[list(split.train)]
         return assemble(
             self,
@@ -73,7 +79,7 @@ class LLFF(SceneConfig):
 
 
 class _PosesBounds(NamedTuple):
-    """The contents of `poses_bounds.npy`: poses with OpenGL axes, image sizes in pixels, least and greatest depths."""
+    """`poses_bounds.npy`: OpenGL poses, image sizes in pixels, least and greatest depths."""
 
     poses: Float[np.ndarray, "views 3 4"]
     sizes: Float[np.ndarray, "views 2"]
@@ -82,6 +88,8 @@ class _PosesBounds(NamedTuple):
 
 
 def _read_poses(path: Path) -> _PosesBounds:
+    # A row holds a 3 x 5 matrix, whose last column is height, width and focal length, and two
+    # depths.
     try:
         rows = np.load(path, allow_pickle=False)
     except FileNotFoundError:
@@ -96,7 +104,7 @@ def _read_poses(path: Path) -> _PosesBounds:
         raise NerfregError(f"{path}: must hold real numbers, not {rows.dtype}")
     rows = rows.astype(np.float64)
     matrices, depths = rows[:, :15].reshape(-1, 3, 5), rows[:, 15:]
-    # Its axes are down, right, backwards.
+    # The axes of LLFF point down, right and backwards.
     down, right, back, position = (matrices[:, :, column] for column in range(4))
     poses = np.stack((right, -down, back, position), axis=2)
     for index, pose in enumerate(poses):
@@ -122,6 +130,7 @@ def _image_folder(folder: Path, factor: int | None) -> Path:
     factor = max(found) if factor is None else factor
     if factor not in found:
         raise NerfregError(
-            f"scene.factor={factor}: {folder} has images for factor {', '.join(map(str, sorted(found)))}"
+            f"scene.factor={factor}: {folder} has images for factor "
+            f"{', '.join(map(str, sorted(found)))}"
         )
     return found[factor]

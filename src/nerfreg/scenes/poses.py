@@ -1,4 +1,4 @@
-"""Camera poses: 3 x 4 camera-to-world matrices with OpenGL axes (x right, y up, looking along -z)."""
+"""Camera poses: 3 x 4 camera-to-world matrices with x right, y up, looking along -z (OpenGL)."""
 
 from __future__ import annotations
 
@@ -13,7 +13,16 @@ def look_at(
     target: Float[Tensor, "*#cameras 3"],
     up: Float[Tensor, "*#cameras 3"],
 ) -> Float[Tensor, "*cameras 3 4"]:
-    """Poses of upright cameras at `position` that see `target` in the middle, with `up` upward."""
+    """Make poses of cameras that have a target in the middle of their image.
+
+    Args:
+        position: Where the cameras are.
+        target: What they look at.
+        up: The direction that is up in their images, as far as the view allows.
+
+    Returns:
+        Camera-to-world matrices.
+    """
     return pose(position - target, up, position)
 
 
@@ -22,14 +31,32 @@ def pose(
     up: Float[Tensor, "*#cameras 3"],
     position: Float[Tensor, "*cameras 3"],
 ) -> Float[Tensor, "*cameras 3 4"]:
-    """Poses of cameras that look along -`back`, with y as near to `up` as that allows."""
+    """Make poses from a viewing direction.
+
+    Args:
+        back: The direction opposite to the view, of any length.
+        up: The direction that is up in the images, as far as the view allows; not parallel to
+            `back`.
+        position: Where the cameras are.
+
+    Returns:
+        Camera-to-world matrices.
+    """
     z = functional.normalize(back, dim=-1)
     x = functional.normalize(torch.linalg.cross(up.expand_as(z), z), dim=-1)
+    # z x x has unit length already, since z and x are orthonormal.
     return torch.stack([x, torch.linalg.cross(z, x), z, position], dim=-1)
 
 
 def recenter(poses: Float[Tensor, "views 3 4"]) -> Float[Tensor, "views 3 4"]:
-    """Move the world rigidly so that the average camera stands at the origin and looks along -z. Keeps its unit."""
+    """Move the world rigidly so that the average camera is at the origin and looks along -z.
+
+    Args:
+        poses: Camera-to-world matrices.
+
+    Returns:
+        The poses in the moved world, whose unit is the same.
+    """
     average = pose(poses[:, :, 2].sum(0), poses[:, :, 1].sum(0), poses[:, :, 3].mean(0))
     rotation = average[:, :3].T
     moved = rotation @ poses

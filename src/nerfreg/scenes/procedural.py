@@ -1,4 +1,4 @@
-"""A scene that needs no file: textured solids on a ground, ray-traced exactly, with true depth."""
+"""A scene that needs no files: textured solids on a ground, ray-traced exactly, with true depth."""
 
 from __future__ import annotations
 
@@ -20,23 +20,39 @@ from nerfreg.scenes.checks import check_choice
 from nerfreg.scenes.images import reduce
 from nerfreg.scenes.poses import look_at
 from nerfreg.scenes.scene import Scene
-from nerfreg.scenes.solids import BALL, BLOCK, DRUM, Solid, Still, Texture
+from nerfreg.scenes.solids import BOX, CYLINDER, SPHERE, RayTracer, Solid, Texture
 from nerfreg.scenes.splits import Split
 
 FIELD_OF_VIEW = 0.69
+"""Field of view along the narrower side of an image, in radians (about that of NeRF-Synthetic)."""
+
 ORBIT_DISTANCE = 4.0
+"""Distance of the cameras of an orbit from what they look at."""
+
 FORWARD_DISTANCE = 3.0
+"""Distance of forward-facing cameras from the plane through the middle of the solids."""
+
 SUPERSAMPLES = 2
+"""Rays per pixel along each axis of the image."""
+
 GOLDEN_ANGLE = math.pi * (3 - math.sqrt(5))
+"""Turning by it spreads any number of cameras evenly over the azimuths, without repetition."""
+
 TARGET = np.array([0.0, 0.0, -0.05])
+"""What all cameras look at: the middle of the solids, whose ground is at z = -0.5."""
 
 
 @dataclass
 class Procedural(SceneConfig):
-    """Textured solids with view-dependent shading; the cameras orbit them or face them (`layout`).
+    """Textured solids with view-dependent shading, around which cameras orbit or which they face.
 
-    size: width of the images in pixels; height: None makes them square. test_views: number of test views.
-    seed: colours and textures. Training views do not depend on `test_views`, nor test views on `views`.
+    Training views do not depend on `test_views`, nor test views on `views`.
+
+    Attributes:
+        size: Width of the images in pixels.
+        height: Height of the images in pixels; None for square images.
+        test_views: Number of test views.
+        seed: Seed of colours and textures.
     """
 
     views: int | None = 8
@@ -48,18 +64,20 @@ class Procedural(SceneConfig):
 
     def load(self) -> Scene:
         """Place cameras and solids. Images are rendered when they are first read, and kept."""
+        # None is allowed for all formats; cameras that are made here have nothing to tell a layout
+        # by.
         layout = check_choice("scene.layout", self.layout or "orbit", LAYOUTS)
         cameras, split = self._cameras(layout)
         kept = self.after_holding_out(split)
-        still = solids_of(layout, self.seed)
+        tracer = make_tracer(layout, self.seed)
 
         @cache
         def read_image(view: int) -> Tensor:
-            return render(still, cameras, view, has_alpha=layout == "orbit")
+            return render(tracer, cameras, view, has_alpha=layout == "orbit")
 
         @cache
         def read_depth(view: int) -> Tensor:
-            return depth(still, cameras, view)
+            return depth(tracer, cameras, view)
 
         return assemble(
             self,
@@ -73,7 +91,7 @@ class Procedural(SceneConfig):
             read_image=read_image,
             has_alpha=layout == "orbit",
             layout=layout,
-            depths=depth_range(still, cameras, kept.train) if layout == "forward" else None,
+            depths=depth_range(tracer, cameras, kept.train) if layout == "forward" else None,
             read_depth=read_depth,
         )
 
@@ -90,10 +108,11 @@ class Procedural(SceneConfig):
                 raise NerfregError(f"scene.{key}={value}: must be at least 1")
         place = orbit_positions if layout == "orbit" else forward_positions
         positions = np.concatenate((place(views, False), place(self.test_views, True)))
+        # Poses are made in double and rounded once, so that they are orthonormal to the last digit.
         up = torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64)
         poses = look_at(torch.from_numpy(positions), torch.from_numpy(TARGET), up)
         count = len(poses)
-        # Of the narrower side, so that the solids fit whatever the shape of the image.
+        # From the narrower side, so that the solids fit whatever the shape of the image.
         focal = 0.5 * min(self.size, height) / math.tan(0.5 * FIELD_OF_VIEW)
         cameras = Cameras(
             self.size,
@@ -105,17 +124,25 @@ class Procedural(SceneConfig):
         )
         if self.split is None and self.train is None and self.test is None:
             return cameras, Split(tuple(range(views)), tuple(range(views, count)))
+        # `views` has been used up for the number of cameras; the lists choose among these.
         return cameras, replace(self, views=None).split_of_one(count)
 
 
 def orbit_positions(count: int, between: bool) -> Float[np.ndarray, "count 3"]:
-    """Cameras on the upper hemisphere, turning by the golden angle as they climb from 15 to 65 degrees.
+    """Place cameras on the upper hemisphere, in a spiral from 15 to 65 degrees of elevation.
 
-    between: stand half a turn and half a climb further, between the others.
+    Args:
+        count: Number of cameras.
+        between: Whether to turn and climb by half a step more, so that these cameras stand between
+            the others.
+
+    Returns:
+        Their positions.
     """
     index = np.arange(count)
     azimuth = GOLDEN_ANGLE * (index + (0.5 if between else 0.0))
     share = (index + (1.0 if between else 0.5)) / (count + (1.0 if between else 0.0))
+    # Even steps of the sine of the elevation are even steps of area on the sphere.
     low, high = math.sin(math.radians(15)), math.sin(math.radians(65))
     up = low + (high - low) * share
     across = np.sqrt(1 - up * up)
@@ -125,7 +152,16 @@ def orbit_positions(count: int, between: bool) -> Float[np.ndarray, "count 3"]:
 
 
 def forward_positions(count: int, between: bool) -> Float[np.ndarray, "count 3"]:
-    """Cameras side by side in a few rows, 1.4 wide and 0.7 high. between: a smaller, shifted grid inside that one."""
+    """Place cameras side by side in a few rows, 1.4 wide and 0.7 high.
+
+    Args:
+        count: Number of cameras.
+        between: Whether to use a smaller, shifted grid inside that one.
+
+    Returns:
+        Their positions.
+    """
+    # About twice as many columns as rows, like width and height of the grid.
     rows = max(1, round(math.sqrt(count / 2)))
     spots = []
     for row in range(rows):
@@ -143,11 +179,21 @@ def _centered(index: int, count: int) -> float:
     return 0.0 if count == 1 else 2 * index / (count - 1) - 1
 
 
-def solids_of(layout: str, seed: int) -> Still:
-    """The solids: on a round plate for an orbit, on a wide floor before a wall for cameras that face forward."""
+def make_tracer(layout: str, seed: int) -> RayTracer:
+    """Place the solids on a round plate for an orbit, else on a floor in front of a wall.
+
+    Args:
+        layout: "orbit" or "forward".
+        seed: Seed of colours and textures.
+
+    Returns:
+        The solids with a light.
+    """
     generator = torch.Generator().manual_seed(seed)
     hue = float(torch.rand(1, generator=generator))
 
+    # One seed turns all hues together and keeps them apart: a step of the golden ratio around the
+    # circle of hues gives distinct colours for any number of solids.
     def texture(pattern: str, index: int, period: float, saturation: float = 0.75) -> Texture:
         base = (hue + 0.381966 * index) % 1
         tones = (
@@ -157,28 +203,36 @@ def solids_of(layout: str, seed: int) -> Still:
         return Texture(pattern, torch.tensor(tones), period, torch.rand(3, generator=generator))
 
     solids = [
-        Solid(BALL, (-0.35, 0.25, -0.10), (0.40, 0.40, 0.40), texture("marble", 0, 0.9), gloss=0.6),
         Solid(
-            BLOCK, (0.42, 0.30, -0.15), (0.28, 0.24, 0.35), texture("checker", 1, 0.35), turn=0.5
+            SPHERE, (-0.35, 0.25, -0.10), (0.40, 0.40, 0.40), texture("marble", 0, 0.9), gloss=0.6
         ),
         Solid(
-            DRUM, (0.12, -0.50, -0.05), (0.18, 0.18, 0.45), texture("stripes", 2, 0.3), gloss=0.5
+            BOX, (0.42, 0.30, -0.15), (0.28, 0.24, 0.35), texture("checker", 1, 0.35), rotation=0.5
         ),
-        Solid(BALL, (-0.52, -0.48, -0.28), (0.22, 0.22, 0.22), texture("dots", 3, 0.3), gloss=0.6),
         Solid(
-            BALL,
+            CYLINDER,
+            (0.12, -0.50, -0.05),
+            (0.18, 0.18, 0.45),
+            texture("stripes", 2, 0.3),
+            gloss=0.5,
+        ),
+        Solid(
+            SPHERE, (-0.52, -0.48, -0.28), (0.22, 0.22, 0.22), texture("dots", 3, 0.3), gloss=0.6
+        ),
+        Solid(
+            SPHERE,
             (0.66, -0.30, -0.30),
             (0.20, 0.28, 0.20),
             texture("stripes", 4, 0.25),
-            turn=0.7,
+            rotation=0.7,
             gloss=0.5,
         ),
-        Solid(BLOCK, (0.42, 0.30, 0.35), (0.15, 0.15, 0.15), texture("marble", 5, 0.5), turn=1.1),
+        Solid(BOX, (0.42, 0.30, 0.35), (0.15, 0.15, 0.15), texture("marble", 5, 0.5), rotation=1.1),
     ]
     if layout == "orbit":
         solids.append(
             Solid(
-                DRUM,
+                CYLINDER,
                 (0.0, 0.0, -0.55),
                 (1.15, 1.15, 0.05),
                 texture("checker", 6, 1.1, 0.35),
@@ -186,9 +240,11 @@ def solids_of(layout: str, seed: int) -> Still:
             )
         )
     else:
+        # Floor and wall fill every image of a forward-facing camera: no ray may leave the scene,
+        # since these photographs have no alpha. Thick boxes, because all solids are convex volumes.
         solids.append(
             Solid(
-                BLOCK,
+                BOX,
                 (0.0, 0.0, -10.5),
                 (20.0, 20.0, 10.0),
                 texture("checker", 6, 1.1, 0.35),
@@ -197,20 +253,30 @@ def solids_of(layout: str, seed: int) -> Still:
         )
         solids.append(
             Solid(
-                BLOCK,
+                BOX,
                 (0.0, 11.5, 0.0),
                 (20.0, 10.0, 20.0),
                 texture("marble", 7, 2.2, 0.5),
                 gloss=0.1,
             )
         )
-    return Still(solids)
+    return RayTracer(solids)
 
 
 def render(
-    still: Still, cameras: Cameras, view: int, has_alpha: bool
+    tracer: RayTracer, cameras: Cameras, view: int, has_alpha: bool
 ) -> Float[Tensor, "height width channels"]:
-    """The image of a view, each pixel the mean of 2 x 2 rays; with alpha, that is the share of rays that hit."""
+    """Render the image of a view.
+
+    Args:
+        tracer: The solids.
+        cameras: The cameras.
+        view: The view.
+        has_alpha: Whether to add the share of rays that hit a solid as a fourth channel.
+
+    Returns:
+        The image, each pixel the mean of 2 x 2 rays.
+    """
     fine = replace(
         cameras,
         width=cameras.width * SUPERSAMPLES,
@@ -219,20 +285,39 @@ def render(
         center=cameras.center * SUPERSAMPLES,
     )
     origins, directions = fine.image_rays(view)
-    colors, hit = still.shade(origins, directions)
+    colors, hit = tracer.shade(origins, directions)
     pixels = torch.cat((colors, hit[:, None].to(colors)), -1) if has_alpha else colors
     return reduce(pixels.float().reshape(fine.height, fine.width, -1), SUPERSAMPLES)
 
 
-def depth(still: Still, cameras: Cameras, view: int) -> Float[Tensor, "height width"]:
-    """Distance along the rays through the pixel centres, inf where they meet nothing."""
+def depth(tracer: RayTracer, cameras: Cameras, view: int) -> Float[Tensor, "height width"]:
+    """Compute the true distances along the rays through the pixel centres.
+
+    Args:
+        tracer: The solids.
+        cameras: The cameras.
+        view: The view.
+
+    Returns:
+        The distances, inf where a ray meets nothing.
+    """
+    # In double: this is what depths of renderings are measured against.
     origins, directions = cameras.image_rays(view)
-    distance, _ = still.trace(origins.double(), directions.double())
+    distance, _ = tracer.trace(origins.double(), directions.double())
     return distance.float().reshape(cameras.height, cameras.width)
 
 
-def depth_range(still: Still, cameras: Cameras, views: Sequence[int]) -> tuple[float, float]:
-    """Least and greatest depth along the optical axis that the views see, on a lattice of their pixels."""
+def depth_range(tracer: RayTracer, cameras: Cameras, views: Sequence[int]) -> tuple[float, float]:
+    """Find the least and the greatest depth along the optical axis that views see.
+
+    Args:
+        tracer: The solids.
+        cameras: The cameras.
+        views: The views.
+
+    Returns:
+        The depths, from a lattice of pixels, about 32 along the shorter side of the image.
+    """
     stride = max(1, min(cameras.width, cameras.height) // 32)
     y, x = torch.meshgrid(
         torch.arange(0, cameras.height, stride),
@@ -243,7 +328,7 @@ def depth_range(still: Still, cameras: Cameras, views: Sequence[int]) -> tuple[f
     least, greatest = math.inf, 0.0
     for view in views:
         origins, directions = cameras.rays(torch.full((len(pixels),), view), pixels)
-        distance, _ = still.trace(origins.double(), directions.double())
+        distance, _ = tracer.trace(origins.double(), directions.double())
         depths = distance.float() * (directions @ cameras.axes[view])
         least, greatest = min(least, float(depths.min())), max(greatest, float(depths.max()))
     return least, greatest

@@ -1,4 +1,4 @@
-"""A scene: cameras, images read when asked for, where to look, and which views are for what."""
+"""A scene: its cameras, images that are read on demand, its bounds and its split."""
 
 from __future__ import annotations
 
@@ -14,10 +14,14 @@ from nerfreg.scenes.cameras import Cameras
 
 @dataclass(frozen=True)
 class Photographs:
-    """What training may look at, and nothing of the test views: V views, numbered from 0.
+    """What training may look at, and nothing of the test views.
 
-    images: (V, H, W, C) in [0, 1], C = 3, or 4 with straight alpha. near, far: bounds of every ray, world units.
-    layout: how the cameras stand, "orbit" (around an object) or "forward" (side by side).
+    Attributes:
+        cameras: The cameras of the V training views, numbered from 0.
+        images: The photographs in [0, 1], `(V, H, W, C)`; C is 3, or 4 with straight alpha.
+        near: Where rays begin, in world units.
+        far: Where rays end, in world units.
+        layout: How the cameras are placed, "orbit" (around an object) or "forward" (side by side).
     """
 
     cameras: Cameras
@@ -29,14 +33,25 @@ class Photographs:
 
 @dataclass(frozen=True)
 class Scene:
-    """Everything the core knows about a scene. View numbers index `cameras`.
+    """Everything the core knows about a scene.
 
-    layout: how the cameras stand, "orbit" (around an object) or "forward" (side by side).
-    train, test: view numbers of the split. box: (2, 3) lower and upper corner of the space that is modelled.
-    near, far: bounds of every ray, world units; rays are clipped to the box besides.
-    read_image: view -> (H, W, C) in [0, 1], C = 3, or 4 with straight alpha; has_alpha says which.
-    read_depth: view -> (H, W) distance along the ray, inf where there is nothing; None if depth is unknown.
-    background: colour (3,) that images with alpha are composited on when they are scored; None without alpha.
+    Attributes:
+        name: Name of the scene.
+        layout: How the cameras are placed, "orbit" (around an object) or "forward" (side by side).
+        cameras: The cameras of all views; view numbers index them.
+        train: Numbers of the training views.
+        test: Numbers of the test views.
+        box: Lower and upper corner of the modelled space, `(2, 3)`, in world units.
+        near: Where rays begin, in world units; they are also clipped to the box.
+        far: Where rays end, in world units; they are also clipped to the box.
+        read_image: Returns the image of a view in [0, 1], `(H, W, C)`; C is 3, or 4 with straight
+            alpha.
+        has_alpha: Whether images have an alpha channel. background: The colour `(3,)` on which
+        images with alpha are composited when they are scored;
+            None without alpha.
+        read_depth: Returns the distance along the rays of a view, `(H, W)`, inf where there is
+            nothing; None if depth is unknown.
+        labels: A name for each view, for messages and files.
     """
 
     name: str

@@ -1,4 +1,4 @@
-"""`transforms.json` as instant-ngp and nerfstudio write it: any cameras, with lens distortion."""
+"""`transforms.json` as instant-ngp and nerfstudio write it, with lens distortion."""
 
 from __future__ import annotations
 
@@ -23,28 +23,42 @@ from nerfreg.scenes.checks import (
     require_frames,
     scene_folder,
 )
-from nerfreg.scenes.images import ImageHeader, check_headers, find_image, read_image
+from nerfreg.scenes.images import (
+    ImageHeader,
+    check_factor,
+    check_headers,
+    find_image,
+    read_image,
+)
 from nerfreg.scenes.scene import Scene
 from nerfreg.scenes.splits import Split, evenly
 
 CAMERA_MODELS = ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL")
+"""COLMAP's camera models that are special cases of OpenCV's distortion: coefficients that a model
+does not have are absent from the file, and 0."""
+
 DISTORTION = ("k1", "k2", "p1", "p2", "k3")
+"""Keys of the distortion coefficients, in OpenCV's order."""
+
 INVERSION_TOLERANCE = 0.1
-"""Pixels by which undistorted rays may miss, in the corners of the image."""
+"""Pixels by which undistorted rays may miss, anywhere in the image."""
 
 
 @dataclass
 class Transforms(SceneConfig):
-    """A `transforms.json`, or the folder that holds it. Views number its frames, in their order.
+    """A `transforms.json`, or the folder that holds it.
 
-    factor: the images are made this many times smaller. `split: null` honours the file's own lists of training and
-    test images where it has them, and is every_8 otherwise. `layout: null` looks at how the cameras stand.
+    Views number its frames, in their order. `split: null` uses the file's own lists of training and
+    test images if there are any, and every_8 otherwise. `layout: null` looks at the cameras.
+
+    Attributes:
+        factor: How many times smaller to make the images.
     """
 
     factor: int = 1
 
     def load(self) -> Scene:
-        """Read the file, and the headers of the images of the split."""
+        """Read the JSON file, and the headers of the images of the split."""
         path = scene_folder(self.path)
         path = path / "transforms.json" if path.is_dir() else path
         content = read_json(path)
@@ -58,10 +72,9 @@ class Transforms(SceneConfig):
         )
         split = self.after_holding_out(self._split(content, names, path))
         header = check_headers([files[view] for view in (*split.train, *split.test)])
-        if not 1 <= self.factor <= min(header.width, header.height):
-            raise NerfregError(
-                f"scene.factor={self.factor}: must lie between 1 and the image size, {header.width} x {header.height}"
-            )
+        check_factor(self.factor, header.width, header.height)
+        # The keys of a frame take precedence over those of the file: nerfstudio writes intrinsics
+        # into the frames where the cameras differ.
         lenses = torch.tensor(
             [
                 _intrinsics({**content, **frame}, header, f"{path}: frame {i}")
@@ -106,6 +119,7 @@ class Transforms(SceneConfig):
                     )
             return tuple(index[name] for name in listed)
 
+        # Some files list validation images, but no test images.
         train, test = views("train_filenames"), views("test_filenames") or views("val_filenames")
         if not train or not test:
             raise NerfregError(
@@ -116,8 +130,9 @@ class Transforms(SceneConfig):
 
 
 def _intrinsics(values: dict[str, Any], header: ImageHeader, where: str) -> list[float]:
-    """fx, fy, cx, cy in pixels of the images as they lie on the disk, and the five distortion coefficients."""
+    """fx, fy, cx, cy in pixels of the image files, and the five distortion coefficients."""
     model = str(values.get("camera_model", "OPENCV"))
+    # k4 belongs to fisheye models alone; colmap2nerf.py marks these by `is_fisheye` instead.
     if model not in CAMERA_MODELS or values.get("is_fisheye") or float(values.get("k4") or 0) != 0:
         name = model if model not in CAMERA_MODELS else "fisheye (is_fisheye or k4)"
         raise NerfregError(
@@ -126,12 +141,13 @@ def _intrinsics(values: dict[str, Any], header: ImageHeader, where: str) -> list
         )
     width = number(values, "w", where) if "w" in values else float(header.width)
     height = number(values, "h", where) if "h" in values else float(header.height)
-    # The images may have been made smaller since the file was written.
+    # The images may have been made smaller since the file was written. Their height then agrees
+    # with that of the file but for rounding.
     scale = header.width / width, header.height / height
     if abs(scale[0] * height - header.height) > 1.5 or min(scale) <= 0:
         raise NerfregError(
-            f"{where}: 'w', 'h' are {width:g} x {height:g}, which the images ({header.width} x {header.height}) "
-            "are not a smaller version of"
+            f"{where}: 'w' and 'h' are {width:g} x {height:g}, but the images are "
+            f"{header.width} x {header.height}, not a smaller version of that; correct 'w' and 'h'"
         )
     fx = _focal(values, "x", width, where)
     fy = (
@@ -139,7 +155,7 @@ def _intrinsics(values: dict[str, Any], header: ImageHeader, where: str) -> list
     )
     if fx is None or fy is None:
         raise NerfregError(
-            f"{where}: 'fl_x' and 'camera_angle_x' are missing; one of them must be there"
+            f"{where}: both 'fl_x' and 'camera_angle_x' are missing; one of them is needed"
         )
     cx = number(values, "cx", where) if "cx" in values else width / 2
     cy = number(values, "cy", where) if "cy" in values else height / 2
@@ -162,6 +178,7 @@ def _focal(values: dict[str, Any], axis: str, size: float, where: str) -> float 
 
 
 def _check_invertible(cameras: Cameras, split: Split, path: Path) -> None:
+    # Points all over the image: where distortion folds, it need not do so in the corners alone.
     width, height = float(cameras.width), float(cameras.height)
     border = torch.tensor([[x * width / 4, y * height / 4] for x in range(5) for y in range(5)])
     for view in (*split.train, *split.test):
@@ -172,5 +189,6 @@ def _check_invertible(cameras: Cameras, split: Split, path: Path) -> None:
         ):
             raise NerfregError(
                 f"{path}: frame {view}: the distortion {', '.join(DISTORTION)} = "
-                f"{', '.join(f'{c:g}' for c in cameras.distortion[view].tolist())} folds the image over itself"
+                f"{', '.join(f'{c:g}' for c in cameras.distortion[view].tolist())} "
+                "folds the image over itself"
             )
