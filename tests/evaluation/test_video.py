@@ -17,7 +17,7 @@ def grays(count: int, height: int = 16, width: int = 24) -> list[torch.Tensor]:
 
 
 def test_gif_has_all_frames_in_order_and_never_ends(tmp_path):
-    path = tmp_path / "film.gif"
+    path = tmp_path / "video.gif"
     write_video(path, iter(grays(4)), fps=10)
     frames = iio.imread(path)
     assert frames.shape == (4, 16, 24, 3)
@@ -30,7 +30,7 @@ def test_gif_has_all_frames_in_order_and_never_ends(tmp_path):
 
 def test_mp4_has_all_frames_and_even_sides(tmp_path):
     ffmpeg = pytest.importorskip("imageio_ffmpeg", reason="mp4 needs imageio-ffmpeg (extra: video)")
-    path = tmp_path / "film.mp4"
+    path = tmp_path / "video.mp4"
     write_video(path, grays(5, height=33, width=47), fps=25)
     # decoded by ffmpeg itself: imageio's reader leaves its pipes open, which counts as an error
     # here
@@ -47,10 +47,10 @@ def test_mp4_has_all_frames_and_even_sides(tmp_path):
         "-",
     ]
     raw = subprocess.run(command, capture_output=True, check=True).stdout
-    # 33 x 47 is padded to 34 x 48; a film of another size or length would not have as many bytes
+    # 33 x 47 is padded to 34 x 48; a video of another size or length would not have as many bytes
     frames = np.frombuffer(raw, np.uint8).reshape(5, 34, 48, 3)
     assert np.all(np.diff(frames.mean((1, 2, 3))) > 20)
-    assert [p.name for p in tmp_path.iterdir()] == ["film.mp4"]
+    assert [p.name for p in tmp_path.iterdir()] == ["video.mp4"]
 
 
 def test_mp4_without_ffmpeg_says_what_to_install_before_anything_is_rendered(tmp_path, monkeypatch):
@@ -61,23 +61,23 @@ def test_mp4_without_ffmpeg_says_what_to_install_before_anything_is_rendered(tmp
         yield
 
     with pytest.raises(NerfregError, match=r"pip install nerfreg\[video\]"):
-        write_video(tmp_path / "film.mp4", frames())
+        write_video(tmp_path / "video.mp4", frames())
     assert not list(tmp_path.iterdir())
 
 
-def test_other_kinds_and_empty_films_are_refused(tmp_path):
-    with pytest.raises(NerfregError, match=r"film\.avi.*\.gif or \.mp4"):
-        write_video(tmp_path / "film.avi", grays(1))
+def test_other_formats_and_empty_videos_are_refused(tmp_path):
+    with pytest.raises(NerfregError, match=r"video\.avi.*\.gif or \.mp4"):
+        write_video(tmp_path / "video.avi", grays(1))
     with pytest.raises(NerfregError, match="no frames"):
-        write_video(tmp_path / "film.gif", [])
+        write_video(tmp_path / "video.gif", [])
     assert not list(tmp_path.iterdir())
 
 
-def test_a_film_that_breaks_off_is_not_left_behind(tmp_path):
+def test_a_video_that_breaks_off_is_not_left_behind(tmp_path):
     def frames():
         yield grays(1)[0]
         raise RuntimeError("out of memory")
 
     with pytest.raises(RuntimeError):
-        write_video(tmp_path / "film.gif", frames())
+        write_video(tmp_path / "video.gif", frames())
     assert not list(tmp_path.iterdir())

@@ -1,6 +1,7 @@
-"""How good a field is: scores against photographs, pictures, videos, and the files that hold them.
+"""How good a field is: scores against photographs, pictures and videos.
 
-Light on purpose: the configuration is read before torch is imported. Everything else is imported from its module.
+Only the configuration is imported here, since it is read before torch is. Everything else is
+imported from its module.
 """
 
 from __future__ import annotations

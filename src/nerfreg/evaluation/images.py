@@ -1,4 +1,4 @@
-"""Pictures of renderings: colour, depth, error, side by side."""
+"""Pictures of renderings: colour, depth and error, side by side."""
 
 from __future__ import annotations
 
@@ -13,16 +13,25 @@ from torch import Tensor
 from nerfreg.files import atomic
 
 ERROR_RANGE = 0.5
-"""Mean absolute colour error shown as the brightest."""
+"""Mean absolute colour error that is shown as the brightest."""
 
 
 def to_uint8(image: Float[Tensor, "height width 3"]) -> UInt8[np.ndarray, "height width 3"]:
-    """Colours in [0, 1], clipped and rounded to bytes; nan becomes black."""
+    """Convert colours in [0, 1] to bytes, clipped and rounded; NaN becomes black."""
+    # Without the rounding the conversion truncates, and the image would be darker by half a level.
     return (image.detach().nan_to_num(0.0).clamp(0, 1) * 255).round().to(torch.uint8).cpu().numpy()
 
 
 def save_png(path: Path, image: Float[Tensor, "height width 3"]) -> None:
-    """Write an image in [0, 1], whole or not at all."""
+    """Write an image as PNG.
+
+    Args:
+        path: The file, which is replaced as a whole or left as it was.
+        image: Colours in [0, 1].
+
+    Raises:
+        NerfregError: If the file cannot be written.
+    """
     import imageio.v3 as iio
 
     with atomic(path) as part:
@@ -30,7 +39,15 @@ def save_png(path: Path, image: Float[Tensor, "height width 3"]) -> None:
 
 
 def color_map(values: Float[Tensor, "height width"], name: str) -> Float[Tensor, "height width 3"]:
-    """Values in [0, 1] as colours of a matplotlib colour map; those outside take the nearest end."""
+    """Show values as the colours of a matplotlib colour map.
+
+    Args:
+        values: Values in [0, 1]. Those outside get the colour of the nearest end, NaN that of 0.
+        name: Name of the colour map.
+
+    Returns:
+        Colours in [0, 1].
+    """
     table = _table(name)
     return table[(values.nan_to_num(0.0).clamp(0, 1) * (len(table) - 1)).round().long()]
 
@@ -41,11 +58,21 @@ def depth_image(
     far: float,
     opacity: Float[Tensor, "height width"],
 ) -> Float[Tensor, "height width 3"]:
-    """Depth as colour, bright where near, dark blue at far, fading to black as rays are empty.
+    """Show depth as colour, bright where near and dark blue at far, fading to black on empty rays.
 
-    The scale is logarithmic between near and far, so that equal ratios of distance look equally different.
+    The scale is logarithmic, so that equal ratios of distance look equally different.
+
+    Args:
+        depth: Distance along the rays, in world units.
+        near: Distance that is shown brightest.
+        far: Distance that is shown darkest.
+        opacity: Opacity of the rays, which scales their brightness.
+
+    Returns:
+        Colours in [0, 1].
     """
-    near = max(near, 1e-3 * far)  # a near of 0 has no logarithm
+    # A near of 0 has no logarithm.
+    near = max(near, 1e-3 * far)
     depth = depth.detach().clamp(near, far)
     closeness = torch.log(far / depth) / np.log(far / near)
     return color_map(closeness, "viridis") * opacity.detach().nan_to_num(0.0).clamp(0, 1).unsqueeze(
@@ -61,7 +88,20 @@ def side_by_side(
     opacity: Float[Tensor, "height width"],
     target: Float[Tensor, "height width 3"] | None = None,
 ) -> Float[Tensor, "height panels 3"]:
-    """Colour and depth beside each other; with a target also that and the error (mean absolute, 0.5 is brightest)."""
+    """Place colour and depth beside each other, and if there is a target, that and the error.
+
+    Args:
+        rgb: Rendered colours.
+        depth: Rendered distances along the rays, in world units.
+        near: Distance that is shown brightest.
+        far: Distance that is shown darkest.
+        opacity: Opacity of the rays.
+        target: The photograph.
+
+    Returns:
+        The panels from left to right; the error is the mean over channels of absolute differences,
+        brightest from `ERROR_RANGE` on.
+    """
     rgb = rgb.detach().clamp(0, 1)
     panels = [rgb, depth_image(depth, near, far, opacity)]
     if target is not None:

@@ -1,4 +1,4 @@
-"""Where the weights of LPIPS come from: a configured file, the data folder, or torch hub and torchmetrics."""
+"""Find the weights of LPIPS: a configured file, the data folder, or torch hub and torchmetrics."""
 
 from __future__ import annotations
 
@@ -22,33 +22,45 @@ from nerfreg.files import atomic
 log = logging.getLogger(__name__)
 
 LAYERS = 5
+"""Number of AlexNet's convolutions, each with a linear head."""
+
 WEIGHTS_NAME = "alexnet_v0.1.safetensors"
 CHECKPOINT = "alexnet-owt-7be5be79.pth"
 CHECKPOINT_URL = f"https://download.pytorch.org/models/{CHECKPOINT}"
 ALEXNET_FEATURES = (0, 3, 6, 8, 10)
-"""Places of the five convolutions among the layers of torchvision's AlexNet."""
+"""Indices of the five convolutions among the layers of torchvision's AlexNet."""
 
 CONNECT_SECONDS = 5.0
 DOWNLOAD_SECONDS = 60.0
-"""A run does not wait longer than this for a server to answer, and for the whole file."""
+"""How long a run waits at most for a server to answer, and then for the whole file."""
 
 HOW_TO_GET_WEIGHTS = (
-    f"LPIPS and average are n/a, no weights found: download {CHECKPOINT_URL} into ~/.cache/torch/hub/checkpoints, "
-    "or set eval.lpips_weights=FILE.safetensors"
+    f"LPIPS and average are n/a because no weights were found: download {CHECKPOINT_URL} into "
+    "~/.cache/torch/hub/checkpoints, or set eval.lpips_weights=FILE.safetensors"
 )
 
 
 def find_lpips_weights(configured: str | None) -> Path | None:
-    """The file that holds the weights, or None.
+    """Find the weights of LPIPS.
 
-    Looked for in this order: `configured` (NerfregError if it is no file), `$NERFREG_DATA/lpips/`, then AlexNet from
-    torch hub's cache or server joined with the heads that torchmetrics ships, kept in that cache for the next time.
+    Looks for the configured file, then in `$NERFREG_DATA/lpips/`, and then joins AlexNet from torch
+    hub's cache or server with the heads that torchmetrics ships, and keeps that file in the cache.
+
+    Args:
+        configured: The value of `eval.lpips_weights`.
+
+    Returns:
+        The file; None if there are no weights.
+
+    Raises:
+        NerfregError: If the configured file does not exist.
     """
     if configured is not None:
         path = Path(configured).expanduser()
         if not path.is_file():
             raise NerfregError(
-                f"eval.lpips_weights={configured}: no such file; leave it null to look for the weights"
+                f"eval.lpips_weights={configured}: no such file; "
+                "leave it null to look for the weights"
             )
         return path
     data = os.environ.get("NERFREG_DATA")
@@ -63,6 +75,7 @@ def _join_published_weights(folder: Path) -> Path | None:
     if joined.is_file():
         return joined
     heads_file = _torchmetrics_heads()
+    # The heads come first: without them the download would be for nothing.
     if heads_file is None or not (checkpoint.is_file() or _download(CHECKPOINT_URL, checkpoint)):
         return None
     try:
@@ -75,6 +88,7 @@ def _join_published_weights(folder: Path) -> Path | None:
             tensors[f"lin{i}.weight"] = heads[f"lin{i}.model.1.weight"].contiguous()
         with atomic(joined) as part:
             save_file(tensors, part)
+    # A broken file in the cache costs two scores and must not cost the run.
     except (
         OSError,
         RuntimeError,
@@ -89,6 +103,7 @@ def _join_published_weights(folder: Path) -> Path | None:
 
 
 def _torchmetrics_heads() -> Path | None:
+    # `find_spec` locates the package without importing it, which takes long.
     package = importlib.util.find_spec("torchmetrics")
     if package is None or package.origin is None:
         return None
@@ -98,9 +113,10 @@ def _torchmetrics_heads() -> Path | None:
 
 @cache
 def _download(url: str, path: Path) -> bool:
-    """Whether the file could be had in time. Asked once per process, since a sweep would wait for every run.
+    """Download a file, and tell whether it arrived in time.
 
-    The work is done in a thread that may be abandoned: looking up a host name knows no timeout.
+    Tried once per process, since a sweep without a network would wait again in every run. The work
+    is done in a thread that can be abandoned, since looking up a host name has no timeout.
     """
     connected, finished, abandoned = threading.Event(), threading.Event(), threading.Event()
 
@@ -119,11 +135,13 @@ def _download(url: str, path: Path) -> bool:
                         raise TimeoutError
                     file.write(chunk)
                     digest.update(chunk)
+                # torch hub's names end with the first digits of the SHA-256 digest.
                 if not digest.hexdigest().startswith(path.stem.rpartition("-")[2]):
                     raise OSError("checksum")
             finished.set()
         except (OSError, HTTPException, NerfregError):
-            connected.set()  # nothing more to wait for; `finished` stays unset
+            # There is nothing more to wait for; `finished` stays unset.
+            connected.set()
 
     thread = threading.Thread(target=fetch, daemon=True)
     thread.start()

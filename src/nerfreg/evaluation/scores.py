@@ -17,7 +17,15 @@ from nerfreg.scenes.scene import Scene
 
 @dataclass(frozen=True)
 class ViewScores:
-    """Scores of one view; None for what could not be computed."""
+    """Scores of one view; None for what could not be computed.
+
+    Attributes:
+        view: Number of the view.
+        psnr: Peak signal-to-noise ratio in dB.
+        ssim: Structural similarity.
+        lpips: Perceptual distance.
+        depth_rmse: Root mean squared error of depth, in world units.
+    """
 
     view: int
     psnr: float
@@ -28,9 +36,15 @@ class ViewScores:
 
 @dataclass(frozen=True)
 class Scores:
-    """Means over views of each score, the geometric mean of those means, and the scores of every view.
+    """Means of each score over views; None for what could not be computed on any view.
 
-    None stands for what could not be computed on a single view.
+    Attributes:
+        psnr: Peak signal-to-noise ratio in dB: the mean over views, not that of the mean error.
+        ssim: Structural similarity.
+        lpips: Perceptual distance.
+        average: Geometric mean of three errors, from the means above (`metrics.average`).
+        depth_rmse: Root mean squared error of depth, in world units.
+        views: The scores of every view.
     """
 
     psnr: float
@@ -42,7 +56,7 @@ class Scores:
 
     @classmethod
     def of(cls, views: Sequence[ViewScores]) -> Scores:
-        """Take the mean over views."""
+        """Take the means over views, of which there must be at least one."""
         psnr = _mean(v.psnr for v in views)
         assert psnr is not None, "no view to score"
         ssim, lpips = _mean(v.ssim for v in views), _mean(v.lpips for v in views)
@@ -50,7 +64,7 @@ class Scores:
         return cls(psnr, ssim, lpips, average(psnr, ssim, lpips), depth_rmse, tuple(views))
 
     def record(self) -> dict[str, float | None]:
-        """The means by name, as they stand in `metrics.jsonl` and `results.json`."""
+        """Return the means by name, as `metrics.jsonl` and `results.json` hold them."""
         return {
             name: getattr(self, name) for name in ("psnr", "ssim", "lpips", "average", "depth_rmse")
         }
@@ -63,17 +77,32 @@ def score_views(
     lpips: LPIPS | None,
     stride: int = 1,
 ) -> Scores:
-    """Render the views and compare them with their photographs, and with true depth where the scene knows it.
+    """Render views and compare them with their photographs, and with true depth if it is known.
 
-    render: view -> what was rendered, at every `stride`-th row and column from 0; colours are clipped to [0, 1].
-    lpips: None leaves out LPIPS and the average. With a stride above 1 SSIM and LPIPS are left out: their windows
-    would see an image of another scale, and the numbers could not be compared with those at full size.
+    Args:
+        scene: The scene.
+        views: The views to score.
+        render: Renders a view at every `stride`-th row and column, from 0 on. Its colours are
+            clipped to [0, 1] before they are scored.
+        lpips: LPIPS; None leaves it out, and the average with it.
+        stride: Stride between rows and columns. Above 1, SSIM and LPIPS are left out.
+
+    Returns:
+        The scores.
     """
     return Scores.of([_score(scene, view, render(view), lpips, stride) for view in views])
 
 
 def photograph(scene: Scene, view: int) -> Float[Tensor, "height width 3"]:
-    """The image of a view; where it has alpha, on the scene's background."""
+    """Read the image of a view, on the background of the scene if it has alpha.
+
+    Args:
+        scene: The scene.
+        view: The view.
+
+    Returns:
+        Colours in [0, 1].
+    """
     image = scene.read_image(view)
     if image.shape[-1] == 3:
         return image
@@ -86,10 +115,12 @@ def _score(scene: Scene, view: int, rendered: View, lpips: LPIPS | None, stride:
     target = photograph(scene, view)[::stride, ::stride]
     if rendered.rgb.shape != target.shape or rendered.depth.shape != target.shape[:2]:
         raise ValueError(
-            f"view {view} was rendered as {tuple(rendered.rgb.shape)} with depth {tuple(rendered.depth.shape)}, "
-            f"its photograph is {tuple(target.shape)}"
+            f"view {view} was rendered as {tuple(rendered.rgb.shape)} with depth "
+            f"{tuple(rendered.depth.shape)}, but its photograph is {tuple(target.shape)}"
         )
     rgb = rendered.rgb.detach().clamp(0, 1)
+    # SSIM and LPIPS look at windows of pixels. On strided pixels these would see an image of
+    # another scale, and the scores could not be compared with those at full size.
     truth = None if scene.read_depth is None else scene.read_depth(view)[::stride, ::stride]
     return ViewScores(
         view,
@@ -102,6 +133,7 @@ def _score(scene: Scene, view: int, rendered: View, lpips: LPIPS | None, stride:
 
 def _mean(values: Iterable[float | None]) -> float | None:
     known = [value for value in values if value is not None]
-    # fsum: the same result in whatever order the views come; it refuses to add infinities
+    # `fsum` gives the same result in whatever order the views come, but refuses to add infinities,
+    # which are the PSNR of identical images.
     total = math.fsum(known) if all(map(math.isfinite, known)) else sum(known)
     return total / len(known) if known else None

@@ -1,4 +1,4 @@
-"""Write frames as a film."""
+"""Write frames as a video."""
 
 from __future__ import annotations
 
@@ -19,15 +19,24 @@ from nerfreg.files import atomic
 def write_video(
     path: Path, frames: Iterable[Float[Tensor, "height width 3"]], fps: int | float = 30
 ) -> None:
-    """Write frames in [0, 1] to a .gif (endless; delays in whole 1/100 s) or .mp4 file, whole or not at all.
+    """Write a video, as a whole or not at all.
 
-    Raises NerfregError for other suffixes, without frames, and for mp4 where imageio-ffmpeg is not installed; that
-    is found out before the first frame is asked for.
+    Args:
+        path: A .gif file, which plays in an endless loop with delays in whole hundredths of a
+            second, or an .mp4 file.
+        frames: Colours in [0, 1].
+        fps: Frames per second.
+
+    Raises:
+        NerfregError: If the suffix is another one, if there are no frames, if the file cannot be
+            written, or if mp4 is asked for and imageio-ffmpeg is not installed.
     """
+    # Frames are rendered as they are asked for, which takes long, so what can fail is checked
+    # first.
     writers = {".gif": _write_gif, ".mp4": _write_mp4}
     writer = writers.get(path.suffix.lower())
     if writer is None:
-        raise NerfregError(f"{path}: unknown kind of film {path.suffix!r}; use .gif or .mp4")
+        raise NerfregError(f"{path}: unknown video format {path.suffix!r}; use .gif or .mp4")
     if writer is _write_mp4 and importlib.util.find_spec("imageio_ffmpeg") is None:
         raise NerfregError(
             f"{path}: mp4 needs imageio-ffmpeg; pip install nerfreg[video], or write a .gif"
@@ -42,6 +51,7 @@ def _write_gif(path: Path, frames: Iterable[np.ndarray], fps: int | float) -> in
     import imageio.v3 as iio
 
     images = list(frames)
+    # imageio fails on an empty list; the caller reports it.
     if images:
         iio.imwrite(path, images, plugin="pillow", duration=1000.0 / fps, loop=0)
     return len(images)
@@ -50,14 +60,16 @@ def _write_gif(path: Path, frames: Iterable[np.ndarray], fps: int | float) -> in
 def _write_mp4(path: Path, frames: Iterable[np.ndarray], fps: int | float) -> int:
     from imageio.v2 import get_writer
 
+    # One frame in memory at a time, since a video may be long.
     count = 0
-    # macro_block_size 1: imageio would otherwise rescale frames whose sides are no multiples of 16
-    film: Any = get_writer(
+    # With the default `macro_block_size` imageio would rescale frames whose sides are no multiples
+    # of 16.
+    video: Any = get_writer(
         path, format="FFMPEG", fps=fps, codec="libx264", quality=8, macro_block_size=1
     )
-    with film:
+    with video:
         for frame in frames:
-            film.append_data(_even_sides(frame))
+            video.append_data(_even_sides(frame))
             count += 1
     return count
 

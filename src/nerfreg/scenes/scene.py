@@ -46,9 +46,9 @@ class Scene:
         far: Where rays end, in world units; they are also clipped to the box.
         read_image: Returns the image of a view in [0, 1], `(H, W, C)`; C is 3, or 4 with straight
             alpha.
-        has_alpha: Whether images have an alpha channel. background: The colour `(3,)` on which
-        images with alpha are composited when they are scored;
-            None without alpha.
+        has_alpha: Whether images have an alpha channel.
+        background: The colour `(3,)` on which images with alpha are composited when they are
+            scored; None without alpha.
         read_depth: Returns the distance along the rays of a view, `(H, W)`, inf where there is
             nothing; None if depth is unknown.
         labels: A name for each view, for messages and files.
