@@ -6,8 +6,9 @@ import pytest
 import torch
 from torch import Tensor, nn
 
+from nerfreg.field.fused import CHUNK
 from nerfreg.field.layers import AffineLayer, Linear
-from nerfreg.field.network import CHUNK, Network
+from nerfreg.field.network import Network
 
 
 class WithBias(AffineLayer):
