@@ -104,7 +104,6 @@ class FusedNetwork(torch.autograd.Function):
                     # below, through that layer's activation.
                     before = kept[i - 1][start:stop] if i else x[start:stop]
                     activation = layers[i - 1].activation if i else "none"
-                    # Before the gradient moves on to the layer below: both need it as it is now.
                     layers[i].add_parameter_grads(sums[2 * i : 2 * i + 2], grad, before, activation)
                     if i:
                         grad = layers[i].backward(

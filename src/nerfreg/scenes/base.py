@@ -137,8 +137,8 @@ def assemble(
         The scene.
 
     Raises:
-        NerfregError: If a value of the configuration is wrong, or if where the scene is cannot be
-            derived.
+        NerfregError: If a value of the configuration is wrong, or if the position of the scene
+            cannot be derived.
     """
     check_choice("scene.background", config.background, tuple(BACKGROUNDS))
     if config.layout is not None:
