@@ -46,7 +46,8 @@ class GridLayout:
     @cached_property
     def dense(self) -> np.ndarray:
         """Which levels have a table entry for every vertex, `(L,)`."""
-        return (self.resolutions + 1) ** 3 <= 2**self.log2_entries
+        dense: np.ndarray = (self.resolutions + 1) ** 3 <= 2**self.log2_entries
+        return dense
 
     @cached_property
     def offsets(self) -> np.ndarray:

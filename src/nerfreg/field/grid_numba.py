@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -29,7 +30,8 @@ class SharedTable:
     def __init__(self, table: Float[Tensor, "entries 2"]) -> None:
         """Put the shared node on top of the table."""
         self._buffer: Tensor | None = None
-        self.table: Tensor = _Share.apply(table, self)
+        apply: Callable[..., Tensor] = _Share.apply
+        self.table = apply(table, self)
 
     def buffer(self) -> tuple[Tensor, bool]:
         """Return the buffer of this backward pass, and whether it is new.
@@ -142,6 +144,7 @@ def encode(
     Returns:
         The features, `(P, 2 * levels)`, stored feature by feature (column-major).
     """
+    apply: Callable[..., Tensor] = _Encode.apply
     if isinstance(table, SharedTable):
-        return _Encode.apply(positions, table.table, layout, levels, table)
-    return _Encode.apply(positions, table, layout, levels, None)
+        return apply(positions, table.table, layout, levels, table)
+    return apply(positions, table, layout, levels, None)

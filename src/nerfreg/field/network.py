@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import torch
@@ -69,9 +70,8 @@ class Network(nn.Module):
         used = weights[0][:, : x.shape[1]]
         weights[0] = used if scale is None else used * scale[: x.shape[1]]
         activations = tuple(layer.activation for layer in self.layers)
-        return shifted(
-            FusedNetwork.apply(x, activations, self._precision(x), *weights), last.output_shift()
-        )
+        apply: Callable[..., Tensor] = FusedNetwork.apply
+        return shifted(apply(x, activations, self._precision(x), *weights), last.output_shift())
 
     def _affine(self) -> list[Any] | None:
         """Weight and bias of every layer in turn; None where the fused kernels cannot run.

@@ -117,7 +117,8 @@ class RadianceField(nn.Module):
                 .clamp(0, 1)
                 .to(unit.dtype)
             )
-        return self.density_network(self.grid(unit, levels), scale)
+        raw: Tensor = self.density_network(self.grid(unit, levels), scale)
+        return raw
 
     def density(self, raw: Float[Tensor, "*points out"]) -> Float[Tensor, "*points"]:
         """Compute density per world unit, exp(raw density + bias) in units of half the box.

@@ -1,4 +1,4 @@
-"""The rays of one step, and what is needed to render them once more exactly as they were rendered."""
+"""The rays of one step, and what is needed to render them again exactly as they were rendered."""
 
 from __future__ import annotations
 

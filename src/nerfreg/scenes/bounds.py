@@ -202,7 +202,7 @@ def _distances_ahead(
     cameras: Cameras, views: Sequence[int], point: Float[Tensor, " 3"]
 ) -> Float[Tensor, " views"]:
     offsets = point - cameras.positions[list(views)]
-    distances = offsets.norm(dim=-1)
+    distances: Tensor = offsets.norm(dim=-1)
     ahead = (offsets * cameras.axes[list(views)]).sum(-1)
     # Ahead by half the distance at least: a camera that looks 60 degrees past the point does not
     # look at it. NaN would pass this comparison, hence the first test.

@@ -121,7 +121,8 @@ class Texture:
         else:
             share = 0.5 + 0.5 * torch.sin(3 * wave[:, 0] + 2 * wave[:, 1] + wave[:, 2])
         first, second = self.colors.to(p)
-        return first + share[:, None] * (second - first)
+        colors: Tensor = first + share[:, None] * (second - first)
+        return colors
 
 
 @dataclass(frozen=True)
