@@ -88,12 +88,7 @@ class Adversarial(Regularizer):
     steps: int = 1
     step_size: float = 1.0
 
-    cite: ClassVar[str] = """@inproceedings{chen2022augnerf,
-  title = {{Aug-NeRF}: Training Stronger Neural Radiance Fields with Triple-Level Physically-Grounded Augmentations},
-  author = {Chen, Tianlong and Wang, Peihao and Fan, Zhiwen and Wang, Zhangyang},
-  booktitle = {CVPR},
-  year = {2022}
-}"""
+    cite: ClassVar[str] = "chen2022augnerf"
 
     def __post_init__(self) -> None:
         require_range("reg.adversarial", self, **dict.fromkeys(TARGETS, (0.0, math.inf)))

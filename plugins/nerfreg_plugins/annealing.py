@@ -57,13 +57,7 @@ class Annealing(Regularizer):
     initial: float = 0.5
     mid: float = 0.5
 
-    cite: ClassVar[str] = """@inproceedings{niemeyer2022regnerf,
-  title = {{RegNeRF}: Regularizing Neural Radiance Fields for View Synthesis from Sparse Inputs},
-  author = {Niemeyer, Michael and Barron, Jonathan T. and Mildenhall, Ben and Sajjadi, Mehdi S. M.
-            and Geiger, Andreas and Radwan, Noha},
-  booktitle = {CVPR},
-  year = {2022}
-}"""
+    cite: ClassVar[str] = "niemeyer2022regnerf"
 
     def __post_init__(self) -> None:
         if not 0 < self.initial <= 1:

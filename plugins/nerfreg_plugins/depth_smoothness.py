@@ -62,13 +62,7 @@ class DepthSmoothness(Regularizer):
         "forward": {"weight": 0.1},
         "orbit": {"weight": 0.01},
     }
-    cite: ClassVar[str] = """@inproceedings{niemeyer2022regnerf,
-  title = {{RegNeRF}: Regularizing Neural Radiance Fields for View Synthesis from Sparse Inputs},
-  author = {Niemeyer, Michael and Barron, Jonathan T. and Mildenhall, Ben and Sajjadi, Mehdi S. M.
-            and Geiger, Andreas and Radwan, Noha},
-  booktitle = {CVPR},
-  year = {2022}
-}"""
+    cite: ClassVar[str] = "niemeyer2022regnerf"
 
     @hookimpl
     def nerfreg_needs(self) -> Needs:

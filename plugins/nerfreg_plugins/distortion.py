@@ -60,12 +60,7 @@ class Distortion(Regularizer):
         "forward": {"weight": 2e-5},
         "orbit": {"weight": 2e-3},
     }
-    cite: ClassVar[str] = """@inproceedings{barron2022mipnerf360,
-  title = {{Mip-NeRF} 360: Unbounded Anti-Aliased Neural Radiance Fields},
-  author = {Barron, Jonathan T. and Mildenhall, Ben and Verbin, Dor and Srinivasan, Pratul P. and Hedman, Peter},
-  booktitle = {CVPR},
-  year = {2022}
-}"""
+    cite: ClassVar[str] = "barron2022mipnerf360"
 
     @hookimpl
     def nerfreg_loss(self, rendering: Rendering, step: Step) -> dict[str, Float[Tensor, ""]]:

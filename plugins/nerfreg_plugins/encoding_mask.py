@@ -60,12 +60,7 @@ class EncodingMask(Regularizer):
         "forward": {"saturation": 0.9},
         "orbit": {"saturation": 0.2},
     }
-    cite: ClassVar[str] = """@inproceedings{yang2023freenerf,
-  title = {{FreeNeRF}: Improving Few-Shot Neural Rendering with Free Frequency Regularization},
-  author = {Yang, Jiawei and Pavone, Marco and Wang, Yue},
-  booktitle = {CVPR},
-  year = {2023}
-}"""
+    cite: ClassVar[str] = "yang2023freenerf"
 
     def ratio(self, fraction: float) -> float:
         """Share of the features that is kept when this fraction of the budget is spent."""

@@ -55,12 +55,7 @@ class RayEntropy(Regularizer):
     threshold: float = 0.1
     unseen_rays: float = 0.25
 
-    cite: ClassVar[str] = """@inproceedings{kim2022infonerf,
-  title = {{InfoNeRF}: Ray Entropy Minimization for Few-Shot Neural Volume Rendering},
-  author = {Kim, Mijeong and Seo, Seonguk and Han, Bohyung},
-  booktitle = {CVPR},
-  year = {2022}
-}"""
+    cite: ClassVar[str] = "kim2022infonerf"
 
     @hookimpl
     def nerfreg_needs(self) -> Needs:

@@ -42,12 +42,7 @@ class FullGeometry(Regularizer):
         "forward": {"weight": 1e-4},
         "orbit": {"weight": 1e-3},
     }
-    cite: ClassVar[str] = """@inproceedings{wynn2023diffusionerf,
-  title = {{DiffusioNeRF}: Regularizing Neural Radiance Fields with Denoising Diffusion Models},
-  author = {Wynn, Jamie and Turmukhambetov, Daniyar},
-  booktitle = {CVPR},
-  year = {2023}
-}"""
+    cite: ClassVar[str] = "wynn2023diffusionerf"
 
     @hookimpl
     def nerfreg_needs(self) -> Needs | None:

@@ -135,19 +135,7 @@ class KLDivergence(Regularizer):
     direction: Direction = Direction.forward
     patch_fraction: float = 0.0625
 
-    cite: ClassVar[str] = """@inproceedings{kim2022infonerf,
-  title = {{InfoNeRF}: Ray Entropy Minimization for Few-Shot Neural Volume Rendering},
-  author = {Kim, Mijeong and Seo, Seonguk and Han, Bohyung},
-  booktitle = {CVPR},
-  year = {2022}
-}
-
-@inproceedings{bonotto2024combinerf,
-  title = {{CombiNeRF}: A Combination of Regularization Techniques for Few-Shot Neural Radiance Field View Synthesis},
-  author = {Bonotto, Matteo and Sarrocco, Luigi and Evangelista, Daniele and Imperoli, Marco and Pretto, Alberto},
-  booktitle = {3DV},
-  year = {2024}
-}"""
+    cite: ClassVar[str] = "kim2022infonerf, bonotto2024combinerf"
 
     @hookimpl
     def nerfreg_needs(self) -> Needs:

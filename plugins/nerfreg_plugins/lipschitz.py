@@ -85,12 +85,7 @@ class Lipschitz(Regularizer):
     hidden_activation: Activation = Activation.relu
     bound_weight: float = 0.0
 
-    cite: ClassVar[str] = """@inproceedings{liu2022lipschitz,
-  title = {Learning Smooth Neural Functions via Lipschitz Regularization},
-  author = {Liu, Hsueh-Ti Derek and Williams, Francis and Jacobson, Alec and Fidler, Sanja and Litany, Or},
-  booktitle = {ACM SIGGRAPH Conference Proceedings},
-  year = {2022}
-}"""
+    cite: ClassVar[str] = "liu2022lipschitz"
 
     def __post_init__(self) -> None:
         self._layers: dict[tuple[str, int], LipschitzLinear] = {}

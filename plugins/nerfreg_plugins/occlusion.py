@@ -53,12 +53,7 @@ class Occlusion(Regularizer):
     fraction: float = 0.1
     quantity: Quantity = Quantity.weights
 
-    cite: ClassVar[str] = """@inproceedings{yang2023freenerf,
-  title = {{FreeNeRF}: Improving Few-Shot Neural Rendering with Free Frequency Regularization},
-  author = {Yang, Jiawei and Pavone, Marco and Wang, Yue},
-  booktitle = {CVPR},
-  year = {2023}
-}"""
+    cite: ClassVar[str] = "yang2023freenerf"
 
     @hookimpl
     def nerfreg_loss(self, rendering: Rendering) -> dict[str, Float[Tensor, ""]]:

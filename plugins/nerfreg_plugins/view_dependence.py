@@ -58,12 +58,7 @@ class ViewDependence(Regularizer):
 
     scale: float = 0.1
 
-    cite: ClassVar[str] = """@article{zhang2020nerfpp,
-  title = {{NeRF++}: Analyzing and Improving Neural Radiance Fields},
-  author = {Zhang, Kai and Riegler, Gernot and Snavely, Noah and Koltun, Vladlen},
-  journal = {arXiv:2010.07492},
-  year = {2020}
-}"""
+    cite: ClassVar[str] = "zhang2020nerfpp"
 
     @hookimpl(wrapper=True)
     @no_type_check  # a checker that wraps the generator would hide it from pluggy

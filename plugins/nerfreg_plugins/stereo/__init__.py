@@ -69,12 +69,7 @@ class Stereo(Regularizer):
     sources: int = 4
     tolerance: float = 1.0
 
-    cite: ClassVar[str] = """@inproceedings{deng2022dsnerf,
-  title = {Depth-supervised {NeRF}: Fewer Views and Faster Training for Free},
-  author = {Deng, Kangle and Liu, Andrew and Zhu, Jun-Yan and Ramanan, Deva},
-  booktitle = {CVPR},
-  year = {2022}
-}"""
+    cite: ClassVar[str] = "deng2022dsnerf"
 
     def __post_init__(self) -> None:
         require_range("reg.stereo", self, doubt=(1e-6, 1e6), width=(1, math.inf), window=(5, 99))
