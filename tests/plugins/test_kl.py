@@ -5,7 +5,7 @@ import math
 import mpmath
 import pytest
 import torch
-from nerfreg_plugins.kl import Density, Direction, KLDivergence, Neighbors, kl_divergence
+from nerfreg_plugins.kl import Density, KLDirection, KLDivergence, Neighbors, kl_divergence
 
 from nerfreg import Needs
 
@@ -136,14 +136,14 @@ FLOOR = math.log(1e-10)
         # p = (2/3, 1/3), q = (1, 0)
         (
             Density.weights,
-            Direction.forward,
+            KLDirection.forward,
             2 / 3 * math.log(2 / 3) + 1 / 3 * (math.log(1 / 3) - FLOOR),
         ),
         # p = (1, 0), q = (2/3, 1/3)
-        (Density.weights, Direction.reverse, math.log(3 / 2)),
+        (Density.weights, KLDirection.reverse, math.log(3 / 2)),
         # p = (1/2, 1/2), q = (1, 0)
-        (Density.alphas, Direction.forward, math.log(1 / 2) - FLOOR / 2),
-        (Density.alphas, Direction.reverse, math.log(2)),
+        (Density.alphas, KLDirection.forward, math.log(1 / 2) - FLOOR / 2),
+        (Density.alphas, KLDirection.reverse, math.log(2)),
     ],
 )
 def test_loss(rendering, step, finite_gradients, density, direction, expected):
