@@ -25,7 +25,8 @@ def test_the_neighbour_is_floored_at_1e_10(dtype):
 
 
 def test_weights_that_underflow_have_a_true_divergence(dtype, finite_gradients):
-    # Log-weights near -1000, whose weights are 0 even in float64; 50 digits say what their ratio means.
+    # Log-weights near -1000, whose weights are 0 even in float64; 50 digits say what their ratio
+    # means.
     raw_p, raw_q = [-1000.0, -1001.5, -1003.0], [-2000.25, -2000.0, -2004.0]
     mpmath.mp.dps = 50
     p, q = ([mpmath.exp(x) for x in raw] for raw in (raw_p, raw_q))
@@ -61,8 +62,9 @@ def test_a_pair_with_an_empty_ray_is_0_and_still_counts(dtype, finite_gradients,
 @pytest.mark.parametrize("offset", [0.0, -3.0, -100.0])
 @pytest.mark.parametrize("apart", [1e-1, 1e-4, 1e-6])
 def test_neighbours_that_nearly_agree_keep_their_digits(dtype, finite_gradients, apart, offset):
-    # D is about the variance of the difference, down to 1e-13, between logarithms of up to 100. A common factor of the
-    # neighbour's weights (the offset) is rounded together with them, so float64 knows their difference to 1e-14 only.
+    # D is about the variance of the difference, down to 1e-13, between logarithms of up to 100. A
+    # common factor of the neighbour's weights (the offset) is rounded together with them, so
+    # float64 knows their difference to 1e-14 only.
     generator = torch.Generator().manual_seed(0)
     ray = (-5 * torch.rand(1, 48, dtype=torch.float64, generator=generator)).to(dtype)
     neighbor = (

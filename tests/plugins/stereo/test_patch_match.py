@@ -1,4 +1,7 @@
-"""Surfaces before two cameras side by side: what is at inverse depth w appears focal * w pixels further left."""
+"""Surfaces before two cameras side by side.
+
+What is at inverse depth w appears focal * w pixels further left in the second.
+"""
 
 from __future__ import annotations
 
@@ -65,7 +68,7 @@ def seen(image, x, y):
 
 
 def by_definition(own, other, y, x, w, p, q, reach, step):
-    """1 - correlation of a window around (x, y), pixels like its middle counting more, in double precision."""
+    """1 - correlation of a window, pixels like its middle counting more, in float64."""
     weights, mine, theirs = [], [], []
     for j in range(-reach * step, reach * step + 1, step):
         for i in range(-reach * step, reach * step + 1, step):
@@ -147,7 +150,10 @@ def test_without_texture_there_is_no_correlation():
 
 
 def slanted(slope):
-    """What a camera one unit further right sees of a surface at inverse depth 0.1 (1 + slope (x - 12) / FOCAL)."""
+    """Two images of a surface at inverse depth 0.1 (1 + slope (x - 12) / FOCAL).
+
+    The second camera is one unit further right.
+    """
     own = noise()
     other = np.zeros_like(own)
     for x in range(WIDTH):
