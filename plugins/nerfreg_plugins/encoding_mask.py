@@ -86,7 +86,7 @@ class EncodingMask(Regularizer):
 
     def ratio(self, fraction: float) -> float:
         """Return the share of features that is kept when this fraction of the budget is spent."""
-        # Returned as it is, since the formula may round to just below 1 and drop the last feature.
+        # Exactly 1, by which the hook knows that nothing is masked; the formula may round to less.
         if fraction >= self.saturation:
             return 1.0
         return self.initial + (1 - self.initial) * fraction / self.saturation
