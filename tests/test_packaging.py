@@ -36,10 +36,12 @@ def test_wheel_holds_every_source_and_config(wheel: zipfile.ZipFile) -> None:
     configs = {f"nerfreg/{path.relative_to(ROOT)}" for path in (ROOT / "conf").rglob("*.yaml")}
     shipped = {name for name in wheel.namelist() if ".dist-info/" not in name}
     assert shipped == sources | configs
-    assert (
-        "nerfreg/conf/config.yaml" in configs
-        and "nerfreg/reports/template/report.html.j2" in sources
-    )
+    assert "nerfreg/conf/config.yaml" in configs
+    assert {
+        "nerfreg/reports/template/report.html.j2",
+        "nerfreg/runs/references.bib",
+        "nerfreg_plugins/references.bib",
+    } <= sources
 
 
 def test_wheel_registers_what_pyproject_says(wheel: zipfile.ZipFile) -> None:

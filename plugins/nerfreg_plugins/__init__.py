@@ -1,1 +1,4 @@
-"""The regularizers that come with nerfreg, one file each; registered by entry points, as anybody's are."""
+"""The regularizers that come with nerfreg, one module each.
+
+They are registered by entry points, as those of any other package are.
+"""

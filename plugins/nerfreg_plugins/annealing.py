@@ -12,6 +12,7 @@ from torch import Tensor
 
 from nerfreg import NerfregError, Rays, Regularizer, Step, hookimpl
 from nerfreg.numerics import exact, single
+from nerfreg_plugins.references import annealing as reference
 
 
 def annealed_bounds(
@@ -22,17 +23,25 @@ def annealed_bounds(
     start: float,
     mid: float,
 ) -> tuple[Float[Tensor, " rays"], Float[Tensor, " rays"]]:
-    """t_n(i) = t_m + (t_n - t_m) eta(i), likewise t_f, with eta(i) = min(max(i / N_t, p_s), 1).
+    """Return t_m + (t_n - t_m) eta(i) and t_m + (t_f - t_m) eta(i).
 
-    near, far: (R,) t_n and t_f, 0 <= t_n <= t_f. step, steps: i and N_t in the same unit. start: p_s in (0, 1]. mid:
-    where t_m lies between near (0) and far (1). From i = N_t on, near and far come back exactly; the new bounds are
-    always in order and inside them.
+    eta(i) is min(max(i / N_t, p_s), 1). From i = N_t on, near and far come back exactly. The new
+    bounds are always in order and inside the old ones.
+
+    Args:
+        near: t_n of each ray, `(R,)`, at least 0.
+        far: t_f of each ray, `(R,)`, at least t_n.
+        step: i.
+        steps: N_t, in the unit of `step`.
+        start: p_s in (0, 1].
+        mid: Where t_m lies between near (0) and far (1).
     """
     missing = 1 - _eta(step, steps, start)
     if missing == 0:
         return near, far
     low, high = single(near), single(far)
-    # Both are means of near and far whose factors add up to 1: nothing cancels.
+    # Both are means of near and far whose factors add up to 1, so that nothing cancels. A mean may
+    # be rounded to just outside of what it is a mean of, hence the clamps.
     a, b = missing * mid, missing * (1 - mid)
     new_near = (low * (1 - a) + high * a).clamp(low, high)
     new_far = (low * b + high * (1 - b)).clamp(new_near, high)
@@ -47,23 +56,20 @@ def _eta(step: int | float, steps: int | float, start: float) -> float:
 class Annealing(Regularizer):
     """Rays are sampled around their middle first, and grow to their full length (RegNeRF).
 
-    duration: how long they grow, in steps (integer) or as a fraction of the budget. initial: the share of the
-    length that is sampled at first, in (0, 1]. mid: the middle, from near (0) to far (1). It returns no loss;
-    `weight` only switches it off, by 0.
+    Attributes:
+        weight: There is no loss; 0 switches annealing off, anything else has no effect.
+        duration: How long rays grow, in steps (an integer) or as a fraction of the budget.
+        initial: Share of the length that is sampled at first, in (0, 1].
+        mid: The middle, from near (0) to far (1).
     """
 
-    # The paper names no duration. Growth is over before the terms on depth and distribution set in (0.1).
+    # The paper names no duration. Growth is over before the terms on depth and distribution set
+    # in (0.1).
     duration: int | float = 0.05
     initial: float = 0.5
     mid: float = 0.5
 
-    cite: ClassVar[str] = """@inproceedings{niemeyer2022regnerf,
-  title = {{RegNeRF}: Regularizing Neural Radiance Fields for View Synthesis from Sparse Inputs},
-  author = {Niemeyer, Michael and Barron, Jonathan T. and Mildenhall, Ben and Sajjadi, Mehdi S. M.
-            and Geiger, Andreas and Radwan, Noha},
-  booktitle = {CVPR},
-  year = {2022}
-}"""
+    cite: ClassVar[str] = "niemeyer2022regnerf"
 
     def __post_init__(self) -> None:
         if not 0 < self.initial <= 1:
@@ -94,13 +100,7 @@ class Annealing(Regularizer):
     def nerfreg_reference(self, given: Any, step: Step) -> dict[str, Any] | None:
         if not isinstance(given, Rays):
             return None
-        eta, mid = (
-            mpmath.mpf(_eta(self._done(step), self.duration, self.initial)),
-            mpmath.mpf(self.mid),
-        )
-        bounds = list(zip(exact(given.near), exact(given.far), strict=True))
-        middles = [near + mid * (far - near) for near, far in bounds]
-        return {
-            "near": [m + (near - m) * eta for (near, _), m in zip(bounds, middles, strict=True)],
-            "far": [m + (far - m) * eta for (_, far), m in zip(bounds, middles, strict=True)],
-        }
+        eta = mpmath.mpf(_eta(self._done(step), self.duration, self.initial))
+        bounds = exact(given.near), exact(given.far)
+        near, far = reference.annealed_bounds(*bounds, eta, mpmath.mpf(self.mid))
+        return {"near": near, "far": far}

@@ -1,18 +1,21 @@
-"""Distortion: the weights of a ray gather in one place. Source: Mip-NeRF 360 (Barron et al. 2022), equation 15;
-divided by depth as in CombiNeRF (Bonotto et al. 2024)."""
+"""Distortion: the weights of a ray gather in one place.
+
+Source: Mip-NeRF 360 (Barron et al. 2022), equation 15; divided by depth as in CombiNeRF
+(Bonotto et al. 2024).
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
-import mpmath
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
 from nerfreg import Regularizer, Rendering, Step, hookimpl
 from nerfreg.numerics import MIN_OPACITY, exact, single
+from nerfreg_plugins.references import distortion as reference
 
 
 def distortion(
@@ -20,36 +23,50 @@ def distortion(
     t_edges: Float[Tensor, "rays edges"],
     depth: Float[Tensor, " rays"],
 ) -> Float[Tensor, ""]:
-    """(sum_ij w_i w_j abs(m_i - m_j) + 1/3 sum_i w_i^2 delta_i) / depth, mean over rays.
+    """Return (sum_ij w_i w_j abs(m_i - m_j) + 1/3 sum_i w_i^2 delta_i) / depth, mean over rays.
 
-    weights: (R, N). t_edges: (R, N+1) ascending, with midpoints m and lengths delta. depth: (R,) in the unit of t.
+    Every gap between neighbouring midpoints m separates the weight before it from the weight after
+    it, so that the double sum is 2 sum_k (m_{k+1} - m_k) W_{<=k} W_{>k}. This takes O(N), and as no
+    term is negative, nothing cancels. Rays with opacity below `MIN_OPACITY` count as 0.
 
-    Every gap between neighbouring midpoints separates the weight before it from the weight after it, so that the
-    double sum is 2 sum_k (m_{k+1} - m_k) W_{<=k} W_{>k}: O(N), and no term is negative, so nothing cancels. The gaps
-    come from the lengths, which are exact where intervals are short against t; rounded midpoints are not.
-    Rays with opacity below `MIN_OPACITY` count as 0.
+    Args:
+        weights: `(R, N)`.
+        t_edges: Interval borders in ascending order, `(R, N+1)`, with lengths delta.
+        depth: What each ray is divided by, `(R,)`, in the unit of t.
     """
     weights, t_edges, depth = single(weights), single(t_edges), single(depth)
     delta = t_edges.diff(dim=-1)
+    # From the lengths, which are exact where intervals are short against t. Midpoints would be
+    # rounded before they are subtracted, and samples packed between 10000 and 10001 would lose most
+    # of their digits in float32.
     gaps = (delta[:, 1:] + delta[:, :-1]) / 2
     before = weights.cumsum(-1)[:, :-1]
+    # Added up from the far end, since the total minus `before` would cancel.
     after = weights.flip(-1).cumsum(-1).flip(-1)[:, 1:]
     spread = 2 * (gaps * before * after).sum(-1) + (weights.square() * delta).sum(-1) / 3
     counted = (weights.detach().sum(-1) >= MIN_OPACITY) & (depth.detach() > 0)
+    # The divisor is replaced as well, since 0 / 0 makes the gradient NaN even where the outer
+    # `where` discards it.
     return torch.where(counted, spread / torch.where(counted, depth, 1.0), 0.0).mean()
 
 
 @dataclass
 class Distortion(Regularizer):
-    """Weights of a ray gather in one place; relative to its depth (Mip-NeRF 360, CombiNeRF).
+    """Weights of a ray gather in one place, relative to its depth (Mip-NeRF 360, CombiNeRF).
 
-    detach_depth: no gradient through the divisor. max_rays: how many rays, chosen at random, count in a step (0: all).
-    unit_depth: divide by the sum of w t, t in [0, 1] between the scene's bounds, plus 1e-4: what is faint costs more.
-    drop_last: leave out the last interval.
+    Attributes:
+        weight: 2e-5 where the cameras face forward, 2e-3 on orbits; both are CombiNeRF's.
+        start: When the term sets in. CombiNeRF has iteration 1000 of 9000 to 12000.
+        detach_depth: Let no gradient pass through the divisor, which otherwise pushes matter away
+            from the camera.
+        max_rays: How many rays, chosen at random, count in a step; 0 for all.
+        unit_depth: Divide by the sum of w t plus 1e-4, with t in [0, 1] between the scene's
+            bounds, as CombiNeRF's program does. Faint matter then costs more.
+        drop_last: Leave out the last interval, as CombiNeRF's program does.
     """
 
     weight: float = 2e-5
-    # Iteration 1000 of the paper's 9000 to 12000; as a share, so that short runs have it too.
+    # A share of the budget and not a number of steps, so that short runs have the term too.
     start: int | float = 0.1
     detach_depth: bool = False
     max_rays: int = 0
@@ -60,12 +77,7 @@ class Distortion(Regularizer):
         "forward": {"weight": 2e-5},
         "orbit": {"weight": 2e-3},
     }
-    cite: ClassVar[str] = """@inproceedings{barron2022mipnerf360,
-  title = {{Mip-NeRF} 360: Unbounded Anti-Aliased Neural Radiance Fields},
-  author = {Barron, Jonathan T. and Mildenhall, Ben and Verbin, Dor and Srinivasan, Pratul P. and Hedman, Peter},
-  booktitle = {CVPR},
-  year = {2022}
-}"""
+    cite: ClassVar[str] = "barron2022mipnerf360"
 
     @hookimpl
     def nerfreg_loss(self, rendering: Rendering, step: Step) -> dict[str, Float[Tensor, ""]]:
@@ -77,11 +89,12 @@ class Distortion(Regularizer):
         weights, t_edges, depth = rendering.weights, rendering.t_edges, rendering.depth
         if self.unit_depth:
             near, far = step.bounds
+            # Opacity times depth is the sum of w t, since depth is divided by opacity.
             depth = rendering.opacity * (depth - near) / (far - near) + 1e-4
         if 0 < self.max_rays < len(weights):
-            chosen = torch.randperm(len(weights), generator=step.generator)[: self.max_rays].to(
-                weights.device
-            )
+            # Drawn on the CPU by the run's own generator, so that a seed means the same everywhere.
+            order = torch.randperm(len(weights), generator=step.generator)
+            chosen = order[: self.max_rays].to(weights.device)
             weights, t_edges, depth = weights[chosen], t_edges[chosen], depth[chosen]
         if self.drop_last:
             weights, t_edges = weights[:, :-1], t_edges[:, :-1]
@@ -91,24 +104,11 @@ class Distortion(Regularizer):
 
     @property
     def scale_free(self) -> bool:
+        """Whether the divisor has the unit of t, which then cancels."""
         return not self.unit_depth
 
     @hookimpl
     def nerfreg_reference(self, given: Any, step: Step) -> dict[str, Any] | None:
         if not isinstance(given, Rendering):
             return None
-        rays = zip(*map(exact, self._inputs(given, step)), strict=True)
-        spreads = [_reference(*ray) for ray in rays]
-        return {"distortion": mpmath.fsum(spreads) / len(spreads)}
-
-
-def _reference(weights: list[Any], t_edges: list[Any], depth: Any) -> Any:
-    """Equation 15 for one ray; the sum over pairs from running sums, whose cancellation so many digits afford."""
-    if mpmath.fsum(weights) < MIN_OPACITY or depth <= 0:
-        return 0
-    total = weight = moment = mpmath.mpf(0)
-    for w, low, high in zip(weights, t_edges, t_edges[1:], strict=False):
-        middle = (low + high) / 2
-        total += 2 * w * (middle * weight - moment) + w**2 * (high - low) / 3
-        weight, moment = weight + w, moment + w * middle
-    return total / depth
+        return {"distortion": reference.distortion(*map(exact, self._inputs(given, step)))}

@@ -1,10 +1,9 @@
-"""Occlusion: nothing floats before the camera. Source: FreeNeRF (Yang et al. 2023)."""
+"""Occlusion: nothing floats in front of the camera. Source: FreeNeRF (Yang et al. 2023)."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import StrEnum, auto
-from itertools import pairwise
 from typing import Any, ClassVar
 
 import mpmath
@@ -13,6 +12,7 @@ from torch import Tensor
 
 from nerfreg import Regularizer, Rendering, hookimpl
 from nerfreg.numerics import double, exact, single
+from nerfreg_plugins.references import occlusion as reference
 
 
 def occlusion(
@@ -22,11 +22,20 @@ def occlusion(
     far: Float[Tensor, " rays"],
     fraction: float,
 ) -> Float[Tensor, ""]:
-    """Mean of the weights (or densities) over the samples in the first `fraction` of [near, far]; mean over rays.
+    """Return the mean over the samples in the first `fraction` of [near, far], mean over rays.
 
-    weights: (R, N). t_edges: (R, N+1). near, far: (R,). A sample lies there if the midpoint of its interval does. A
-    ray without such a sample, and a fraction of 0, give 0.
+    A sample lies there if the midpoint of its interval does. A ray without such a sample, and a
+    fraction of 0, give 0.
+
+    Args:
+        weights: What is penalised, weights or densities, `(R, N)`.
+        t_edges: Interval borders, `(R, N+1)`.
+        near: Where each ray begins, `(R,)`.
+        far: Where it ends, `(R,)`.
+        fraction: Share of the ray that should be empty.
     """
+    # Distances in float64, so that far from the origin rounding does not decide which midpoints
+    # lie before the border; the values themselves need no more than their own precision.
     weights, edges, near, far = single(weights), double(t_edges), double(near), double(far)
     midpoints = (edges[:, 1:] + edges[:, :-1]) / 2
     close = midpoints < (near + fraction * (far - near))[:, None]
@@ -34,7 +43,7 @@ def occlusion(
 
 
 class Quantity(StrEnum):
-    """What must not lie before the camera."""
+    """What must not lie in front of the camera."""
 
     weights = auto()
     density = auto()
@@ -42,23 +51,21 @@ class Quantity(StrEnum):
 
 @dataclass
 class Occlusion(Regularizer):
-    """Nothing floats before the camera: weights near it are penalised (FreeNeRF).
+    """Nothing floats in front of the camera: weights near it are penalised (FreeNeRF).
 
-    fraction: how much of each ray, from near on, is kept free. quantity: `weights`, or `density` (as in the source;
-    per world unit, so its weight depends on the size of the scene).
+    Attributes:
+        weight: FreeNeRF's.
+        fraction: How much of each ray, from near on, should be empty. FreeNeRF has 10 of 128
+            samples, about a tenth.
+        quantity: `weights`, or `density` as in FreeNeRF. Density is per world unit, so that the
+            fitting `weight` depends on the size of the scene.
     """
 
-    # The weight is FreeNeRF's, and its 10 of 128 samples are about a tenth of the ray.
     weight: float = 0.01
     fraction: float = 0.1
     quantity: Quantity = Quantity.weights
 
-    cite: ClassVar[str] = """@inproceedings{yang2023freenerf,
-  title = {{FreeNeRF}: Improving Few-Shot Neural Rendering with Free Frequency Regularization},
-  author = {Yang, Jiawei and Pavone, Marco and Wang, Yue},
-  booktitle = {CVPR},
-  year = {2023}
-}"""
+    cite: ClassVar[str] = "yang2023freenerf"
 
     @hookimpl
     def nerfreg_loss(self, rendering: Rendering) -> dict[str, Float[Tensor, ""]]:
@@ -70,6 +77,7 @@ class Occlusion(Regularizer):
 
     @property
     def scale_free(self) -> bool:
+        """Whether weights are penalised, which have no unit."""
         return self.quantity == Quantity.weights
 
     @hookimpl
@@ -77,17 +85,5 @@ class Occlusion(Regularizer):
         if not isinstance(given, Rendering):
             return None
         weights, t_edges, near, far = map(exact, self._inputs(given))
-        means = [
-            _reference(*ray, self.fraction) for ray in zip(weights, t_edges, near, far, strict=True)
-        ]
-        return {"occlusion": mpmath.fsum(means) / len(means)}
-
-
-def _reference(
-    penalised: list[Any], t_edges: list[Any], near: Any, far: Any, fraction: float
-) -> Any:
-    """The definition, literally."""
-    border = near + mpmath.mpf(fraction) * (far - near)
-    middles = [(low + high) / 2 for low, high in pairwise(t_edges)]
-    close = [value for value, middle in zip(penalised, middles, strict=True) if middle < border]
-    return mpmath.fsum(close) / max(len(close), 1)
+        fraction = mpmath.mpf(self.fraction)
+        return {"occlusion": reference.occlusion(weights, t_edges, near, far, fraction)}

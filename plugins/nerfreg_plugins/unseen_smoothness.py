@@ -1,28 +1,33 @@
-"""Depth is smooth where no photograph was taken. Source: RegNeRF (Niemeyer et al. 2022), section 4.1; relative
-differences of depth are ours."""
+"""Depth is smooth where no photograph was taken.
+
+Source: RegNeRF (Niemeyer et al. 2022), section 4.1; relative differences of depth are our own.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import chain, pairwise
 from typing import Any, ClassVar
 
-import mpmath
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
 from nerfreg import Needs, Regularizer, Rendering, hookimpl
 from nerfreg.numerics import exact, single
+from nerfreg_plugins.references import unseen_smoothness as reference
 
 
 def relative_smoothness(
     depth_patches: Float[Tensor, "patches side side"], visible: Bool[Tensor, "patches side side"]
 ) -> Float[Tensor, ""]:
-    """Sum of the squared differences of log depth over all adjacent pixels, mean over patches.
+    """Return the sum of log(d / d')^2 over all adjacent pixels, mean over patches.
 
-    depth_patches: (P, S, S). visible: (P, S, S); pairs where either pixel is not visible, or has no positive depth, are
-    left out. The logarithm is that of the ratio, so that nearly equal depths keep their digits. No patches give 0.
+    No patches give 0.
+
+    Args:
+        depth_patches: `(P, S, S)`.
+        visible: `(P, S, S)`; pairs are left out where either pixel is not visible, or has no
+            positive depth.
     """
     depth_patches = single(depth_patches)
     counted = visible & (depth_patches.detach() > 0)
@@ -35,29 +40,30 @@ def relative_smoothness(
 
 
 def _squared_log_ratio(first: Tensor, second: Tensor, counted: Tensor) -> Tensor:
+    # The difference of two logarithms would lose the digits of nearly equal depths; the difference
+    # of the depths themselves is exact.
     ratio = torch.where(counted, (second - first) / first, 0.0)
     return torch.log1p(ratio).square().sum()
 
 
 @dataclass
 class UnseenSmoothness(Regularizer):
-    """Depth is smooth in views between the training views (RegNeRF); relative, so that near and far count alike.
+    """Depth is smooth in views between the training views (RegNeRF), relative to depth itself.
 
-    patch_size: side of the patches in pixels. share: of a step's rays that lie in such patches, in the place of
-    training rays.
+    Near and far surfaces count alike, and the unit of length does not matter.
+
+    Attributes:
+        weight: Our own, from views held out of the training views of fern.
+        patch_size: Side of the patches in pixels; RegNeRF's.
+        share: Share of a step's rays that lie in such patches. They take the place of training
+            rays.
     """
 
     weight: float = 0.03
     patch_size: int = 8
     share: float = 0.125
 
-    cite: ClassVar[str] = """@inproceedings{niemeyer2022regnerf,
-  title = {{RegNeRF}: Regularizing Neural Radiance Fields for View Synthesis from Sparse Inputs},
-  author = {Niemeyer, Michael and Barron, Jonathan T. and Mildenhall, Ben and Sajjadi, Mehdi S. M.
-            and Geiger, Andreas and Radwan, Noha},
-  booktitle = {CVPR},
-  year = {2022}
-}"""
+    cite: ClassVar[str] = "niemeyer2022regnerf"
 
     @hookimpl
     def nerfreg_needs(self) -> Needs:
@@ -68,25 +74,18 @@ class UnseenSmoothness(Regularizer):
         patches = rendering.rays.unseen_patches
         if patches is None:
             return {}
-        return {
-            "unseen_smoothness": relative_smoothness(
-                rendering.depth[patches], rendering.visible[patches]
-            )
-        }
+        term = relative_smoothness(rendering.depth[patches], rendering.visible[patches])
+        return {"unseen_smoothness": term}
 
     @property
     def scale_free(self) -> bool:
+        """True, since only ratios of depths count."""
         return True
 
     @hookimpl
     def nerfreg_reference(self, given: Any) -> dict[str, Any] | None:
         if not isinstance(given, Rendering) or given.rays.unseen_patches is None:
             return None
-        depth, visible = exact(given.depth), given.visible.tolist()
-        squares = []
-        for patch in given.rays.unseen_patches.tolist():
-            rows, columns = patch, list(zip(*patch, strict=True))
-            for a, b in chain.from_iterable(map(pairwise, chain(rows, columns))):
-                if visible[a] and visible[b] and depth[a] > 0 and depth[b] > 0:
-                    squares.append(mpmath.log(depth[a] / depth[b]) ** 2)
-        return {"unseen_smoothness": mpmath.fsum(squares) / max(len(given.rays.unseen_patches), 1)}
+        patches = given.rays.unseen_patches
+        depth, visible = exact(given.depth[patches]), given.visible[patches].tolist()
+        return {"unseen_smoothness": reference.relative_smoothness(depth, visible)}

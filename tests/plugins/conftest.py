@@ -16,7 +16,7 @@ FAR = 6.0
 
 
 def make_rendering(tau: Tensor, t_edges: Tensor | None = None, **rays: Tensor) -> Rendering:
-    """A rendering of rays with the optical thickness tau (R, N), black but for a white background."""
+    """Rays of optical thickness tau (R, N), black before a white background."""
     count, samples = tau.shape
     if t_edges is None:
         t_edges = torch.linspace(2.0, FAR, samples + 1, dtype=tau.dtype).expand(count, -1)

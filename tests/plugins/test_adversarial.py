@@ -52,7 +52,8 @@ def scene(plugin: Adversarial, see) -> tuple[Hooks, Step]:
 @pytest.mark.parametrize(
     ("radii", "see", "expected"),
     [
-        # One sample at t = 4, so z = -4. The error, a mean over the three equal channels, is z^2; away from 0 is down.
+        # One sample at t = 4, so z = -4. The error, a mean over the three equal channels, is z^2;
+        # away from 0 is down.
         (
             {"positions": 0.01},
             lambda s: s.positions[:, 0, 2:].expand(-1, 3),
@@ -175,8 +176,9 @@ def test_only_what_is_switched_on_is_wrapped(radii, wrapped):
 
 
 def test_layers_by_hand(rendering, step):
-    # Density: raw = 3 f of the one feature f = 1 (and a geometry feature 0). Colour: raw = 2 f. Both weights are
-    # positive, so that every shift of 0.1 goes up. Colour of a ray: mean over its coloured samples of raw sigma + rgb.
+    # Density: raw = 3 f of the one feature f = 1 (and a geometry feature 0). Colour: raw = 2 f.
+    # Both weights are positive, so that every shift of 0.1 goes up. Colour of a ray: mean over its
+    # coloured samples of raw sigma + rgb.
     plugin = only(features=0.1, sigma=0.1, rgb=0.1)
     hooks = Hooks({"adversarial": plugin})
     density, color = hooks.layer("density", 0, 1, 2, "none"), hooks.layer("color", 0, 1, 3, "none")
@@ -193,7 +195,8 @@ def test_layers_by_hand(rendering, step):
     term = plugin.nerfreg_loss(made, step(rerender=rerender))["adversarial"]
     # 3 * 1.1 + 0.1 + 2 + 0.1; only the feature that the density network sees is shifted.
     assert term.item() == pytest.approx(5.5**2)
-    # d error / d W = 2 * 5.5 * 1.1 for the weight of sigma: the term trains the field under the perturbation.
+    # d error / d W = 2 * 5.5 * 1.1 for the weight of sigma: the term trains the field under the
+    # perturbation.
     grad = torch.autograd.grad(term, density.inner.weight)[0]
     torch.testing.assert_close(grad, torch.tensor([[2 * 5.5 * 1.1], [0.0]]))
     assert density.input_shift() is None and density.output_shift() is None

@@ -12,7 +12,7 @@ from nerfreg.rendering.renderer import Renderer
 
 
 def test_through_the_real_renderer():
-    """The core renders again at the same samples, the error grows, and the main pass is back to what it was."""
+    """The core renders again at the same samples; the error grows; the main pass is unchanged."""
     torch.manual_seed(0)
     plugin = Adversarial(
         positions=1e-3, directions=1e-2, t=1e-3, features=1e-4, sigma=1e-2, rgb=1e-2

@@ -40,7 +40,8 @@ def test_the_bounds_come_back_exactly(dtype):
 
 
 def test_the_last_steps_keep_their_digits(dtype):
-    # near 0, far 1, mid 1/2: t_n = (1 - eta) / 2 with eta = 1 - 1e-6, not a difference of two numbers near 1/2.
+    # near 0, far 1, mid 1/2: t_n = (1 - eta) / 2 with eta = 1 - 1e-6, not a difference of two
+    # numbers near 1/2.
     near, far = torch.zeros(1, dtype=dtype), torch.ones(1, dtype=dtype)
     new_near, _ = annealed_bounds(near, far, 999_999, 1_000_000, 0.5, 0.5)
     assert new_near.item() == pytest.approx(5e-7, rel=1e-6 if dtype == torch.float32 else 1e-9)

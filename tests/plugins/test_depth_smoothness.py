@@ -24,7 +24,8 @@ def test_mean_over_patches(dtype):
 
 @pytest.mark.parametrize("missing", [6.0, float("inf"), float("nan")])
 def test_terms_with_an_invisible_pixel_are_left_out(dtype, finite_gradients, missing):
-    # On a flat 3 x 3 patch with one step at the right: (0,1)-(0,2) and (1,1)-(1,2) are 1 each; (0,2) is missing.
+    # On a flat 3 x 3 patch with one step at the right: (0,1)-(0,2) and (1,1)-(1,2) are 1 each;
+    # (0,2) is missing.
     patch = torch.tensor(
         [[[0.0, 0.0, missing], [0.0, 0.0, 1.0], [0.0, 0.0, 0.0]]], dtype=dtype, requires_grad=True
     )
@@ -60,7 +61,8 @@ def test_half_precision_is_computed_in_float32(half):
 
 
 def test_far_away_small_differences_keep_their_digits(rendering, step, dtype):
-    # Opaque at once, at 4 + 2^-20 or 4: normalised before the difference is taken, 2^-20 / 4 would lose 3 digits.
+    # Opaque at once, at 4 + 2^-20 or 4: normalised before the difference is taken, 2^-20 / 4 would
+    # lose 3 digits.
     tau = torch.full((4, 1), 50.0, dtype=dtype)
     far = torch.tensor([2, 0, 0, 0], dtype=dtype) * 2.0**-20
     edges = torch.stack([torch.full((4,), 2.0, dtype=dtype), 6 + far], dim=1)
@@ -78,8 +80,8 @@ def test_gradcheck():
 
 
 def patch_of_four(rendering, dtype=torch.float64):
-    # One patch of 2 x 2. Bounds are 2 and 6; two samples with midpoints 3 and 5, at 1/4 and 3/4 of them. Ray 0 has
-    # weights (1/2, 0), ray 1 (0, 1/2), ray 2 (1/2, 1/4), ray 3 is not used.
+    # One patch of 2 x 2. Bounds are 2 and 6; two samples with midpoints 3 and 5, at 1/4 and 3/4 of
+    # them. Ray 0 has weights (1/2, 0), ray 1 (0, 1/2), ray 2 (1/2, 1/4), ray 3 is not used.
     half = 0.6931471805599453
     tau = torch.tensor([[half, 0.0], [0.0, half], [half, half], [0.0, 0.0]], dtype=dtype)
     return rendering(tau.requires_grad_(), patches=torch.tensor([[[0, 1], [2, 3]]]))
@@ -103,7 +105,8 @@ def test_loss(rendering, step, finite_gradients, options, expected):
 
 
 def test_opacity_as_a_factor_has_a_gradient(rendering, step):
-    # More in the only interval of ray 0 that holds anything leaves its depth, and adds exp(-tau) = 1/2 to its opacity.
+    # More in the only interval of ray 0 that holds anything leaves its depth as it is, and adds
+    # exp(-tau) = 1/2 to its opacity.
     made = patch_of_four(rendering)
     term = DepthSmoothness(opacity_weighted=True).nerfreg_loss(made, step())["depth_smoothness"]
     [gradient] = torch.autograd.grad(term, made.tau)

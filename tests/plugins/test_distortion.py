@@ -28,7 +28,8 @@ def random_rays(count=4, samples=7):
 
 
 def test_by_hand(dtype):
-    # Edges 0 1 3, midpoints 1/2 and 2, depth 2: (2 * 1/2 * 1/4 * 3/2 + (1/4 * 1 + 1/16 * 2) / 3) / 2.
+    # Edges 0 1 3, midpoints 1/2 and 2, depth 2:
+    # (2 * 1/2 * 1/4 * 3/2 + (1/4 * 1 + 1/16 * 2) / 3) / 2.
     weights = torch.tensor([[0.5, 0.25]], dtype=dtype)
     t_edges = torch.tensor([[0.0, 1.0, 3.0]], dtype=dtype)
     assert distortion(weights, t_edges, torch.tensor([2.0], dtype=dtype)).item() == pytest.approx(
@@ -44,7 +45,8 @@ def test_equals_all_pairs_forward_and_backward():
 
 
 def test_float32_keeps_its_digits_between_10000_and_10001():
-    # There float32 has steps of 1/1024, so midpoints would round; the edges themselves are taken as given.
+    # There float32 has steps of 1/1024, so midpoints would round; the edges themselves are taken as
+    # given.
     weights = torch.rand(1, 64, generator=torch.Generator().manual_seed(0)) / 64
     t_edges = (
         10000
@@ -164,7 +166,8 @@ def test_loss_with_the_depth_detached(rendering, step):
 
 
 def test_loss_as_in_the_authors_program(rendering, step):
-    # Bounds 2 and 6: depth becomes the sum of w (m - 2) / 4, and 1e-4; the last interval is left out.
+    # Bounds 2 and 6: depth becomes the sum of w (m - 2) / 4, and 1e-4; the last interval is left
+    # out.
     made = two_rays(rendering)
     middles = (made.t_edges[:, :-1] + made.t_edges[:, 1:]) / 2
     depth = (made.weights * (middles - 2) / 4).sum(dim=1) + 1e-4

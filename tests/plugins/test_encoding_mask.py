@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import pytest
 import torch
-from nerfreg_plugins.encoding_mask import EncodingMask, Network, active_features, feature_mask
+from nerfreg_plugins.encoding_mask import EncodingMask, MaskedNetwork, active_features, feature_mask
 
 from nerfreg import Regularizer, Samples
 from nerfreg.registry import Hooks
@@ -78,9 +78,11 @@ def seen(plugin: Regularizer, step, fraction: float) -> tuple[float | None, floa
 
 def test_encoder_input(step):
     # Half way: 16 of 32 grid features, 8 of 16 direction features.
-    both = [Network.density, Network.color]
+    both = [MaskedNetwork.density, MaskedNetwork.color]
     assert seen(EncodingMask(initial=0.0, saturation=1.0), step, 0.5) == (16, None)
-    assert seen(EncodingMask(initial=0.0, saturation=1.0, networks=[Network.color]), step, 0.5) == (
+    assert seen(
+        EncodingMask(initial=0.0, saturation=1.0, networks=[MaskedNetwork.color]), step, 0.5
+    ) == (
         None,
         8,
     )

@@ -41,7 +41,8 @@ def test_samples_of_almost_nothing(dtype, finite_gradients, small, threshold):
 
 @pytest.mark.parametrize("small", [1e-30, 1e-12, 1e-8, 1e-3])
 def test_one_sample_with_nearly_everything(dtype, small):
-    # q of the first sample is 1 to all digits, yet -q log q = 3 small, beside -3 q log q of the other three.
+    # q of the first sample is 1 to all digits, yet -q log q = 3 small, beside -3 q log q of the
+    # other three.
     alphas = torch.tensor([[1.0, small, small, small]], dtype=dtype)
     with mpmath.workdps(50):
         exact = [mpmath.mpf(x) / mpmath.fsum(alphas[0].tolist()) for x in alphas[0].tolist()]
@@ -52,7 +53,8 @@ def test_one_sample_with_nearly_everything(dtype, small):
 
 
 def test_a_sample_of_nothing_would_raise_the_entropy(dtype, finite_gradients):
-    # dH / dalpha_i = (-log q_i - H) / sum alpha: infinite at 0, here with q_i of the smallest normal number.
+    # dH / dalpha_i = (-log q_i - H) / sum alpha: infinite at 0, here with q_i of the smallest
+    # normal number.
     alphas = torch.tensor([[0.5, 0.5, 0.0]], dtype=dtype, requires_grad=True)
     [grad] = finite_gradients(ray_entropy(alphas, 0.1), alphas)
     assert grad[0].tolist() == pytest.approx(

@@ -5,7 +5,7 @@ import math
 import mpmath
 import pytest
 import torch
-from nerfreg_plugins.kl import Density, Direction, KLDivergence, Neighbors, kl_divergence
+from nerfreg_plugins.kl import Density, KLDirection, KLDivergence, Neighbors, kl_divergence
 
 from nerfreg import Needs
 
@@ -25,7 +25,8 @@ def test_the_neighbour_is_floored_at_1e_10(dtype):
 
 
 def test_weights_that_underflow_have_a_true_divergence(dtype, finite_gradients):
-    # Log-weights near -1000, whose weights are 0 even in float64; 50 digits say what their ratio means.
+    # Log-weights near -1000, whose weights are 0 even in float64; 50 digits say what their ratio
+    # means.
     raw_p, raw_q = [-1000.0, -1001.5, -1003.0], [-2000.25, -2000.0, -2004.0]
     mpmath.mp.dps = 50
     p, q = ([mpmath.exp(x) for x in raw] for raw in (raw_p, raw_q))
@@ -61,8 +62,9 @@ def test_a_pair_with_an_empty_ray_is_0_and_still_counts(dtype, finite_gradients,
 @pytest.mark.parametrize("offset", [0.0, -3.0, -100.0])
 @pytest.mark.parametrize("apart", [1e-1, 1e-4, 1e-6])
 def test_neighbours_that_nearly_agree_keep_their_digits(dtype, finite_gradients, apart, offset):
-    # D is about the variance of the difference, down to 1e-13, between logarithms of up to 100. A common factor of the
-    # neighbour's weights (the offset) is rounded together with them, so float64 knows their difference to 1e-14 only.
+    # D is about the variance of the difference, down to 1e-13, between logarithms of up to 100. A
+    # common factor of the neighbour's weights (the offset) is rounded together with them, so
+    # float64 knows their difference to 1e-14 only.
     generator = torch.Generator().manual_seed(0)
     ray = (-5 * torch.rand(1, 48, dtype=torch.float64, generator=generator)).to(dtype)
     neighbor = (
@@ -136,14 +138,14 @@ FLOOR = math.log(1e-10)
         # p = (2/3, 1/3), q = (1, 0)
         (
             Density.weights,
-            Direction.forward,
+            KLDirection.forward,
             2 / 3 * math.log(2 / 3) + 1 / 3 * (math.log(1 / 3) - FLOOR),
         ),
         # p = (1, 0), q = (2/3, 1/3)
-        (Density.weights, Direction.reverse, math.log(3 / 2)),
+        (Density.weights, KLDirection.reverse, math.log(3 / 2)),
         # p = (1/2, 1/2), q = (1, 0)
-        (Density.alphas, Direction.forward, math.log(1 / 2) - FLOOR / 2),
-        (Density.alphas, Direction.reverse, math.log(2)),
+        (Density.alphas, KLDirection.forward, math.log(1 / 2) - FLOOR / 2),
+        (Density.alphas, KLDirection.reverse, math.log(2)),
     ],
 )
 def test_loss(rendering, step, finite_gradients, density, direction, expected):

@@ -6,9 +6,9 @@ import pytest
 import torch
 from nerfreg_plugins.lipschitz import (
     Activation,
+    BoundedNetwork,
     Lipschitz,
     LipschitzLinear,
-    Network,
     normalize_rows,
     softplus,
 )
@@ -123,7 +123,7 @@ def test_k_and_weight_are_trained():
 
 
 def test_layer_factory():
-    hooks = Hooks({"lipschitz": Lipschitz(networks=[Network.color])})
+    hooks = Hooks({"lipschitz": Lipschitz(networks=[BoundedNetwork.color])})
     assert isinstance(hooks.layer("density", 0, 3, 4, "relu"), Linear)
     hidden = hooks.layer("color", 0, 3, 4, "relu")
     assert isinstance(hidden, LipschitzLinear)

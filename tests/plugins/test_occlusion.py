@@ -14,7 +14,8 @@ def four_samples(weights, dtype):
 
 @pytest.mark.parametrize(
     ("fraction", "expected"),
-    # The border lies at 2, 2.4, 3, 4, and 6 (and beyond): none, none, 1, 2, and 4 midpoints are below.
+    # The border lies at 2, 2.4, 3, 4, and 6 (and beyond): none, none, 1, 2, and 4 midpoints are
+    # below.
     [(0.0, 0.0), (0.1, 0.0), (0.25, 0.4), (0.5, 0.3), (1.0, 0.25), (2.0, 0.25)],
 )
 def test_by_hand(dtype, finite_gradients, fraction, expected):
@@ -65,7 +66,8 @@ def test_half_precision_is_computed_in_float32(half):
 
 
 def test_far_away_the_border_is_exact(dtype):
-    # Between 10000 and 10001 float32 steps by 1/1024: the midpoint 1/2048 below the border needs one digit more.
+    # Between 10000 and 10001 float32 steps by 1/1024: the midpoint 1/2048 below the border needs
+    # one digit more.
     ulp = 1 / 1024
     edges = torch.tensor([[10000.5 - ulp, 10000.5, 10000.5 + ulp]], dtype=dtype)
     near, far = torch.tensor([10000.0], dtype=dtype), torch.tensor([10001.0], dtype=dtype)

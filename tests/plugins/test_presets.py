@@ -18,6 +18,7 @@ from omegaconf import OmegaConf
 from nerfreg.config.schema import plugin_schema, register
 from nerfreg.errors import NerfregError
 from nerfreg.hooks import Regularizer
+from nerfreg.runs.citations import plugin_entries
 
 CONF = Path(__file__).parents[2] / "conf"
 CLASSES = {
@@ -152,8 +153,11 @@ def test_bad_values_are_refused_by_name():
 @pytest.mark.parametrize("name", CLASSES)
 def test_every_plugin_says_what_it_is_and_whom_to_cite(name):
     cls = getattr(import_module(f"nerfreg_plugins.{name}"), CLASSES[name])
-    assert cls.cite.startswith(("@inproceedings{", "@article{"))
-    assert cls.cite.count("{") == cls.cite.count("}")
+    entries = plugin_entries(name, cls)
+    assert entries
+    for entry in entries.values():
+        assert entry.startswith(("@inproceedings{", "@article{"))
+        assert entry.count("{") == entry.count("}")
     assert not (cls.__doc__ or "").startswith(f"{cls.__name__}("), (
         "a dataclass without a docstring gets its signature"
     )

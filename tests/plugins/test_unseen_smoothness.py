@@ -13,7 +13,8 @@ def all_of(patches):
 
 
 def test_by_hand(dtype, finite_gradients):
-    # 1 2 / 2 8: right log 2 and log 4, down log 2 and log 4; squares (1 + 4 + 1 + 4) log(2)^2. The flat patch adds 0.
+    # 1 2 / 2 8: right log 2 and log 4, down log 2 and log 4; squares (1 + 4 + 1 + 4) log(2)^2. The
+    # flat patch adds 0.
     depth = torch.tensor(
         [[[1.0, 2.0], [2.0, 8.0]], [[3.0, 3.0], [3.0, 3.0]]], dtype=dtype, requires_grad=True
     )
@@ -34,7 +35,8 @@ def test_units_do_not_matter(dtype):
 
 
 def test_nearly_equal_depths_keep_their_digits():
-    # One step of float32 at 10000: log(1 + 2^-10 / 10000), which the difference of two rounded logarithms loses.
+    # One step of float32 at 10000: log(1 + 2^-10 / 10000), which the difference of two rounded
+    # logarithms loses.
     step = 2.0**-10
     depth = torch.tensor([[[1e4, 1e4 + step], [1e4, 1e4 + step]]])
     expected = 2 * math.log1p(step / 1e4) ** 2

@@ -11,7 +11,8 @@ from nerfreg.registry import Hooks
 
 
 def test_damping_by_hand():
-    # degree 0 once, 1 three times, 2 five times, 3 seven times; the two features behind them are left alone
+    # degree 0 once, 1 three times, 2 five times, 3 seven times; the two features behind them are
+    # left alone
     factors = damping(18, 0.5)
     assert factors.tolist() == [1.0] + [0.5] * 3 + [0.25] * 5 + [0.125] * 7 + [1.0, 1.0]
     assert damping(16, 1.0).tolist() == [1.0] * 16

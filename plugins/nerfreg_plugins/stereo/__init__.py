@@ -1,11 +1,13 @@
-"""Depth that the photographs agree on, without any learned prior. Source: depth supervision of the weights along a ray,
-DS-NeRF (Deng et al. 2022); dense stereo instead of sparse points, and doubt, are ours."""
+"""Depth that the photographs agree on, without any learned prior.
+
+Source: DS-NeRF (Deng et al. 2022), which supervises the weights along a ray by a depth. Dense
+stereo instead of sparse points, intervals instead of points, and the doubt are our own.
+"""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from itertools import pairwise
 from typing import Any, ClassVar
 
 import mpmath
@@ -16,6 +18,7 @@ from torch import Tensor
 from nerfreg import Photographs, Regularizer, Rendering, hookimpl
 from nerfreg.errors import require_range
 from nerfreg.numerics import double, exact, single
+from nerfreg_plugins.references import stereo as reference
 from nerfreg_plugins.stereo.search import agreed_depth
 
 
@@ -26,40 +29,55 @@ def missed_depth(
     known_depth: Float[Tensor, "rays 2"],
     doubt: float,
 ) -> Float[Tensor, ""]:
-    """log((1 + doubt) / (m + doubt)), m the weights where something is known to be; mean over rays.
+    """Return log((1 + doubt) / (m + doubt)), m the weight at the known depth; mean over rays.
 
-    weights, tau: (R, N), tau the optical thickness. t_edges: (R, N+1). known_depth: (R, 2), between which distances. m
-    sums the weights of the intervals that reach into them, and 1 / (1 + x^2) of the weight of one that is x times half
-    their extent away. Rays of which nothing is known (NaN), or no interval of which reaches there, give 0. With more
-    doubt it costs less to be elsewhere: what is known may be wrong.
+    m sums the weights of the intervals that reach into the known one, and 1 / (1 + x^2) of the
+    weight of an interval that is x times half the extent of the known one away from it. Rays of
+    which nothing is known, or no interval of which reaches there, give 0.
+
+    Args:
+        weights: `(R, N)`.
+        tau: Optical thickness of the intervals, `(R, N)`.
+        t_edges: Interval borders, `(R, N+1)`.
+        known_depth: Between which distances a surface is known to be, `(R, 2)`; NaN where unknown.
+        doubt: How likely it is that what is known is wrong. The more doubt, the less it costs to be
+            elsewhere: the gradient of a ray that misses the surface is -1 / doubt.
     """
-    weights, edges, (first, last) = (
-        single(weights),
-        double(t_edges),
-        double(known_depth)[:, :, None].unbind(1),
-    )
+    weights, edges, known = single(weights), double(t_edges), double(known_depth)
+    first, last = known[:, :, None].unbind(1)
+    # Comparisons with NaN are false, so that a ray of unknown depth has no interval that is close.
     close = (edges[:, 1:] >= first) & (edges[:, :-1] <= last)
+    # The tails of 1 / (1 + x^2) still pull from outside of what is known, where an interval with
+    # hard ends has no gradient.
     off = torch.maximum(first - edges[:, 1:], edges[:, :-1] - last) / ((last - first) / 2)
+    # Infinity stands for "not there at all", which both quotients below take as it is meant.
     squared = (
         torch.where(close, 0.0, off.square())
         .nan_to_num(nan=torch.inf, posinf=torch.inf)
         .to(weights.dtype)
     )
     passed = torch.exp(-double(tau).sum(-1)).to(weights.dtype)
-    # What the rest of the ray and the background get is 1 - m, and keeps its digits where m is almost 1.
-    there, elsewhere = (
-        (weights / (1 + squared)).sum(-1),
-        (weights / (1 + 1 / squared)).sum(-1) + passed,
-    )
+    # What the rest of the ray and the background get is 1 - m, added up instead of subtracted: it
+    # keeps its digits where m is almost 1.
+    there = (weights / (1 + squared)).sum(-1)
+    elsewhere = (weights / (1 + 1 / squared)).sum(-1) + passed
     missed = torch.log1p(elsewhere / (there + doubt))
     return torch.where(close.any(-1), missed, 0.0).sum() / max(len(weights), 1)
 
 
 @dataclass
 class Stereo(Regularizer):
-    """Weights lie where the photographs agree that something is: PatchMatch stereo, once before the first step.
+    """Weights lie where the photographs agree that something is, by PatchMatch stereo.
 
-    doubt: how likely it is that a depth is wrong. width, window, sources, tolerance: of the search, see `agreed_depth`.
+    The search runs once, before the first step.
+
+    Attributes:
+        weight: Our own, from held-out views of fern and chair.
+        doubt: How likely it is that a depth is wrong.
+        width: Pixels to which the longer side of the photographs is reduced, about.
+        window: Side of the windows that are compared, in reduced pixels; at least 5.
+        sources: With how many of the nearest views each is compared.
+        tolerance: Pixels to which the views have to agree, and half the extent of what is known.
     """
 
     weight: float = 0.01
@@ -69,14 +87,11 @@ class Stereo(Regularizer):
     sources: int = 4
     tolerance: float = 1.0
 
-    cite: ClassVar[str] = """@inproceedings{deng2022dsnerf,
-  title = {Depth-supervised {NeRF}: Fewer Views and Faster Training for Free},
-  author = {Deng, Kangle and Liu, Andrew and Zhu, Jun-Yan and Ramanan, Deva},
-  booktitle = {CVPR},
-  year = {2022}
-}"""
+    cite: ClassVar[str] = "deng2022dsnerf"
 
     def __post_init__(self) -> None:
+        # A window of fewer than 5 pixels a side has nothing but its middle to compare, since every
+        # second pixel counts.
         require_range("reg.stereo", self, doubt=(1e-6, 1e6), width=(1, math.inf), window=(5, 99))
         require_range("reg.stereo", self, sources=(1, math.inf), tolerance=(1e-3, 1e3))
 
@@ -91,6 +106,7 @@ class Stereo(Regularizer):
         known = rendering.rays.known_depth
         if known is None:
             return {}
+        # Rays without a photograph come last, and nothing is known of them.
         weights, tau, edges = (
             x[: len(known)] for x in (rendering.weights, rendering.tau, rendering.t_edges)
         )
@@ -98,20 +114,15 @@ class Stereo(Regularizer):
 
     @property
     def scale_free(self) -> bool:
+        """True, since distances count relative to the extent of what is known."""
         return True
 
     @hookimpl
     def nerfreg_reference(self, given: Any) -> dict[str, Any] | None:
         if not isinstance(given, Rendering) or given.rays.known_depth is None:
             return None
-        weights, taus, edges = exact(given.weights), exact(given.tau), exact(given.t_edges)
-        doubt, losses = mpmath.mpf(self.doubt), []
-        for ray, (first, last) in enumerate(given.rays.known_depth.tolist()):
-            pairs, half = list(pairwise(edges[ray])), (mpmath.mpf(last) - mpmath.mpf(first)) / 2
-            off = [max(first - end, begin - last, mpmath.mpf(0)) for begin, end in pairs]
-            trust = [mpmath.mpf(1) if x == 0 else half**2 / (half**2 + x**2) for x in off]
-            there = mpmath.fsum(w * t for w, t in zip(weights[ray], trust, strict=True))
-            elsewhere = mpmath.fsum(w * (1 - t) for w, t in zip(weights[ray], trust, strict=True))
-            missed = (elsewhere + mpmath.exp(-mpmath.fsum(taus[ray]))) / (there + doubt)
-            losses.append(mpmath.log1p(missed) if 0 in off else mpmath.mpf(0))
-        return {"stereo": mpmath.fsum(losses) / max(len(losses), 1)}
+        known, doubt = given.rays.known_depth, mpmath.mpf(self.doubt)
+        weights, tau, edges = (
+            exact(x[: len(known)]) for x in (given.weights, given.tau, given.t_edges)
+        )
+        return {"stereo": reference.missed_depth(weights, tau, edges, exact(known), doubt)}

@@ -1,5 +1,14 @@
-"""PatchMatch stereo (Bleyer, Rhemann, Rother 2011; Galliani, Lasinger, Schindler 2015): every pixel keeps the best
-piece of surface that it has heard of, neighbours pass theirs on, and small changes improve it. Compiled."""
+"""PatchMatch stereo, compiled.
+
+Every pixel keeps the best piece of surface that it has been offered. Neighbours pass theirs on, and
+small random changes improve it.
+
+Source: Bleyer, Rhemann, Rother 2011 (slanted windows); Galliani, Lasinger, Schindler 2015 (several
+source views).
+"""
+
+# One module for search and cost: numba's cache notices changes of the file that a function stands
+# in, but not of those that it calls in other files, and would go on running the old ones.
 
 from __future__ import annotations
 
@@ -8,134 +17,151 @@ from typing import NamedTuple, no_type_check
 import numpy as np
 from numba import njit
 
-FAINT = 3e-4
+VARIANCE_FLOOR = 3e-4
 """Variance of colour that is added to that of every window, so that noise alone does not match."""
 
-ALIKE = 0.2
+COLOR_SCALE = 0.2
 """Distance of colours at which a pixel of a window counts a quarter of what its middle counts."""
 
 NO_MATCH = 2.0
 """Cost, 1 - correlation, that no match is above."""
 
-DOUBTED, MOST = 0.1, 4.0
-"""What it costs to be one gap away from where another photograph believes a surface to be; how many gaps count."""
+DISAGREEMENT, MOST_DISAGREEMENT = 0.1, 4.0
+"""What it costs to be one gap away from where a source has its surface; how many gaps count."""
 
-LARGEST = 0.1
+LARGEST_CHANGE = 0.1
 """Change of inverse depth, as a share of its range, that is tried first."""
 
-STEEPEST = 4.0
+MAX_SLOPE = 4.0
 """Tangent of the largest slope, against the image, that a piece of surface can have."""
 
+# numpy's error model divides by 0 without a check in the inner loops; the formulas below either
+# cannot divide by 0 or take the infinity as it is meant. Without the GIL the views of a scene are
+# searched in parallel.
 COMPILED = {"nogil": True, "cache": True, "error_model": "numpy"}
 
 
-class Comparison(NamedTuple):
-    """One view and the sources that it is compared with.
+class MatchingProblem(NamedTuple):
+    """One view and the source views that it is compared with.
 
-    own: (H, W, C) colours; others: (S, H, W, C). ahead: (S, H, W, 3), shift: (S, 3): the point of a pixel at inverse
-    depth w appears in source s at (x / z, y / z) of (x, y, z) = ahead + w shift. believed: (S, H, W) inverse depths of
-    the sources, along their own axes; NaN where nothing is. gap: how far two inverse depths of one surface may differ.
-    focal: in pixels. reach, step: a window has every step-th pixel, `reach` of them either way.
+    The point of a pixel at inverse depth w appears in source s at (x / z, y / z) of
+    (x, y, z) = at_infinity[s] + w epipole[s].
+
+    Attributes:
+        image: Colours of the view, `(H, W, C)`.
+        sources: Colours of the sources, `(S, H, W, C)`.
+        at_infinity: `(S, H, W, 3)`.
+        epipole: `(S, 3)`.
+        source_depths: Inverse depths that the sources have found, along their own axes,
+            `(S, H, W)`; NaN where they have none.
+        gap: How far two inverse depths of one surface may differ.
+        focal: Focal length of the view in pixels.
+        reach: Pixels that a window has either way of its middle.
+        stride: Distance of the pixels of a window.
     """
 
-    own: np.ndarray
-    others: np.ndarray
-    ahead: np.ndarray
-    shift: np.ndarray
-    believed: np.ndarray
+    image: np.ndarray
+    sources: np.ndarray
+    at_infinity: np.ndarray
+    epipole: np.ndarray
+    source_depths: np.ndarray
     gap: np.float32
     focal: np.float32
     reach: int
-    step: int
+    stride: int
 
 
 @no_type_check
 @njit(**COMPILED)
-def patch_match(views, there, nearest, farthest, guesses, sweeps, changes, seed, planes, cost):
-    """Improve `planes`, (H, W, 3), and their `cost`, (H, W), in place, at pixels that are `there`, (H, W).
+def patch_match(problem, mask, nearest, farthest, guesses, sweeps, changes, seed, planes, cost):
+    """Improve planes and their cost in place.
 
-    A plane is the inverse depth w of its pixel along the optical axis, and its slopes (p, q) in x and y: i pixels to
-    the right and j down its inverse depth is w (1 + (p i + q j) / focal). w = 0 is none yet. nearest, farthest: the
-    largest and the smallest inverse depth. guesses: tried at random in each pixel first. sweeps: over the image, there
-    and back in turn. changes: of each pixel in each sweep, each smaller than the one before.
+    A plane is the inverse depth w of its pixel along the optical axis, and its slopes (p, q) in x
+    and y: i pixels to the right and j down, its inverse depth is w (1 + (p i + q j) / focal).
+
+    Args:
+        problem: A `MatchingProblem`.
+        mask: Pixels to search, `(H, W)`.
+        nearest: Largest inverse depth.
+        farthest: Smallest inverse depth.
+        guesses: Random planes tried in each pixel first.
+        sweeps: Passes over the image, there and back in turn.
+        changes: Changes tried of each pixel in each sweep, each smaller than the one before.
+        seed: Of the random numbers.
+        planes: `(H, W, 3)`; w = 0 is none yet.
+        cost: `(H, W)`.
     """
+    # numba's generator is the thread's own. Seeded here, a view gets the same numbers whichever
+    # thread searches it.
     np.random.seed(seed)
-    height, width = there.shape
-    window = _window(views)
+    height, width = mask.shape
+    window = _new_window(problem)
     for y in range(height):
         for x in range(width):
-            if there[y, x]:
-                _look(views, y, x, window)
-                _begin(views, y, x, window, nearest, farthest, guesses, planes, cost)
+            if mask[y, x]:
+                _load_window(problem, y, x, window)
+                _initialize(problem, y, x, window, nearest, farthest, guesses, planes, cost)
     for sweep in range(sweeps):
+        # Each sweep runs against the one before, so that a good plane crosses the image in two
+        # sweeps, whichever way it has to go.
         forth = sweep % 2 == 0
+        back = -1 if forth else 1
         for row in range(height):
             y = row if forth else height - 1 - row
             for column in range(width):
                 x = column if forth else width - 1 - column
-                if there[y, x]:
-                    _look(views, y, x, window)
-                    _hear(
-                        views,
-                        y,
-                        x,
-                        window,
-                        nearest,
-                        farthest,
-                        there,
-                        -1 if forth else 1,
-                        planes,
-                        cost,
-                    )
-                    size = np.float32(LARGEST * 0.5**sweep)
-                    _change(views, y, x, window, nearest, farthest, changes, size, planes, cost)
+                if mask[y, x]:
+                    _load_window(problem, y, x, window)
+                    limits = nearest, farthest
+                    _propagate(problem, y, x, window, limits, mask, back, planes, cost)
+                    size = np.float32(LARGEST_CHANGE * 0.5**sweep)
+                    _refine(problem, y, x, window, limits, changes, size, planes, cost)
 
 
 @no_type_check
 @njit(**COMPILED)
-def _begin(views, y, x, window, nearest, farthest, guesses, planes, cost):
-    """With what is there, or a random plane."""
+def _initialize(problem, y, x, window, nearest, farthest, guesses, planes, cost):
+    """Start from the plane that is there already, or from random ones."""
     w, p, q = planes[y, x]
-    cost[y, x] = _cost(views, y, x, window, w, p, q) if w > 0 else 2 * NO_MATCH
+    # Disagreement adds to the cost of a match. Twice NO_MATCH is above whatever a plane can cost,
+    # so that the first guess is always taken.
+    cost[y, x] = _cost(problem, y, x, window, w, p, q) if w > 0 else 2 * NO_MATCH
     for _ in range(guesses):
         w = farthest + (nearest - farthest) * np.float32(np.random.random())
-        _try(
-            views,
-            y,
-            x,
-            window,
-            w,
-            np.float32(np.random.normal()),
-            np.float32(np.random.normal()),
-            planes,
-            cost,
-        )
+        p = np.float32(np.random.normal())
+        q = np.float32(np.random.normal())
+        _keep_better(problem, y, x, window, w, p, q, planes, cost)
 
 
 @no_type_check
 @njit(**COMPILED)
-def _hear(views, y, x, window, nearest, farthest, there, back, planes, cost):
-    """Of the planes of two neighbours, as they go on here."""
-    height, width = there.shape
+def _propagate(problem, y, x, window, limits, mask, back, planes, cost):
+    """Try the planes of two neighbours, continued to here."""
+    nearest, farthest = limits
+    height, width = mask.shape
+    # The two that this sweep has been at already, so that a plane can go all the way in one sweep.
     for j, i in ((0, back), (back, 0)):
-        if 0 <= y + j < height and 0 <= x + i < width and there[y + j, x + i]:
+        if 0 <= y + j < height and 0 <= x + i < width and mask[y + j, x + i]:
             w, p, q = planes[y + j, x + i]
-            here = w * (1 - (p * i + q * j) / views.focal)
+            here = w * (1 - (p * i + q * j) / problem.focal)
             if farthest <= here <= nearest:
-                _try(views, y, x, window, here, p * w / here, q * w / here, planes, cost)
+                # The slopes are relative to the plane's inverse depth, which is another one here.
+                ratio = p * w / here, q * w / here
+                _keep_better(problem, y, x, window, here, *ratio, planes, cost)
 
 
 @no_type_check
 @njit(**COMPILED)
-def _change(views, y, x, window, nearest, farthest, changes, size, planes, cost):
-    """A little of everything, at first by up to `size` of the range of inverse depth."""
+def _refine(problem, y, x, window, limits, changes, size, planes, cost):
+    """Change a little of everything, at first by up to `size` of the range of inverse depth."""
+    nearest, farthest = limits
     for _ in range(changes):
         w, p, q = planes[y, x]
         w += size * (nearest - farthest) * _either_way()
         p += 5 * size * _either_way()
         q += 5 * size * _either_way()
-        if farthest <= w <= nearest and abs(p) < STEEPEST and abs(q) < STEEPEST:
-            _try(views, y, x, window, w, p, q, planes, cost)
+        if farthest <= w <= nearest and abs(p) < MAX_SLOPE and abs(q) < MAX_SLOPE:
+            _keep_better(problem, y, x, window, w, p, q, planes, cost)
         size *= np.float32(0.4)
 
 
@@ -147,8 +173,8 @@ def _either_way():
 
 @no_type_check
 @njit(**COMPILED)
-def _try(views, y, x, window, w, p, q, planes, cost):
-    new = _cost(views, y, x, window, w, p, q)
+def _keep_better(problem, y, x, window, w, p, q, planes, cost):
+    new = _cost(problem, y, x, window, w, p, q)
     if new < cost[y, x]:
         cost[y, x] = new
         planes[y, x, 0], planes[y, x, 1], planes[y, x, 2] = w, p, q
@@ -156,34 +182,44 @@ def _try(views, y, x, window, w, p, q, planes, cost):
 
 @no_type_check
 @njit(**COMPILED)
-def _window(views):
-    """Room for a window of P pixels: weights (P,), own colours and those of a source (C, P), own variance (1,)."""
-    pixels, channels = (2 * views.reach + 1) ** 2, views.own.shape[2]
+def _new_window(problem):
+    """Make room for a window of P pixels, which all pixels of a view use one after the other.
+
+    Weights (P,), own colours and those of a source (C, P) each, own variance (1,).
+    """
+    pixels, channels = (2 * problem.reach + 1) ** 2, problem.image.shape[2]
     colors = np.zeros((2, channels, pixels), np.float32)
     return np.zeros(pixels, np.float32), colors[0], colors[1], np.zeros(1, np.float32)
 
 
 @no_type_check
 @njit(**COMPILED)
-def _look(views, y, x, window):
-    """Fill a window with what surrounds a pixel: weights, which sum to 1, and colours, less their mean, times those."""
+def _load_window(problem, y, x, window):
+    """Fill a window with what surrounds a pixel.
+
+    The weights sum to 1; the colours are taken relative to their mean, times the weights.
+    """
     weights, own, _, variance = window
-    height, width, channels = views.own.shape
-    side = 2 * views.reach + 1
+    height, width, channels = problem.image.shape
+    side = 2 * problem.reach + 1
+    # Pixels outside of the image keep weight 0. Their colours are those of an earlier window, which
+    # counts for nothing, as every sum over a window has the weight as a factor.
     weights[:] = 0
     for k in range(len(weights)):
-        row, column = (
-            y + (k // side - views.reach) * views.step,
-            x + (k % side - views.reach) * views.step,
-        )
+        row = y + (k // side - problem.reach) * problem.stride
+        column = x + (k % side - problem.reach) * problem.stride
         if 0 <= row < height and 0 <= column < width:
             unlike = np.float32(0)
             for c in range(channels):
-                own[c, k] = views.own[row, column, c]
-                unlike += (own[c, k] - views.own[y, x, c]) ** 2
-            weights[k] = 1 / (1 + unlike / np.float32(ALIKE**2)) ** 2
+                own[c, k] = problem.image[row, column, c]
+                unlike += (own[c, k] - problem.image[y, x, c]) ** 2
+            # What has another colour than the middle is likely to lie on another surface.
+            weights[k] = 1 / (1 + unlike / np.float32(COLOR_SCALE**2)) ** 2
+    # The middle has weight 1, so that the sum is never 0.
     weights /= weights.sum()
     variance[0] = 0
+    # Mean, weights and variance of the view's own colours do not depend on the plane: with these
+    # done once, each plane that is tried costs one pass over the source.
     for c in range(channels):
         mean = np.float32(0)
         for k in range(len(weights)):
@@ -194,49 +230,68 @@ def _look(views, y, x, window):
             variance[0] += own[c, k] * off
 
 
+# Compiled without fastmath, which would take it that there are no NaN and no infinities; both mean
+# something here.
 @no_type_check
 @njit(**COMPILED)
-def _cost(views, y, x, window, w, p, q):
-    """1 - correlation of a window with the two sources that are most like it, on average; and what they believe."""
+def _cost(problem, y, x, window, w, p, q):
+    """Return 1 - correlation, and disagreement, with the two best sources on average.
+
+    The two best, because the others may have something in front of the surface.
+    """
     least, second = np.float32(NO_MATCH), np.float32(np.inf)
-    height, width = views.own.shape[:2]
-    for s in range(len(views.shift)):
-        z = views.ahead[s, y, x, 2] + w * views.shift[s, 2]
+    height, width = problem.image.shape[:2]
+    for s in range(len(problem.epipole)):
+        z = problem.at_infinity[s, y, x, 2] + w * problem.epipole[s, 2]
         if z <= 0:
             continue
-        across = (views.ahead[s, y, x, 0] + w * views.shift[s, 0]) / z
-        down = (views.ahead[s, y, x, 1] + w * views.shift[s, 1]) / z
+        across = (problem.at_infinity[s, y, x, 0] + w * problem.epipole[s, 0]) / z
+        down = (problem.at_infinity[s, y, x, 1] + w * problem.epipole[s, 1]) / z
         if not (0 < across < width and 0 < down < height):
             continue
-        _see(views, s, y, x, window, w, p, q)
+        _warp_source(problem, s, y, x, window, w, p, q)
         cost = 1 - _correlation(window)
-        off = abs(w / z - views.believed[s, int(down), int(across)]) / views.gap
+        # w / z is the inverse depth along the axis of the source.
+        seen = problem.source_depths[s, int(down), int(across)]
+        off = abs(w / z - seen) / problem.gap
+        # A source that has found nothing there says nothing. What it has found may be wrong, or
+        # stand in front, so that being far off costs no more than a few gaps.
         if not np.isnan(off):
-            cost += np.float32(DOUBTED) * min(off, np.float32(MOST))
+            cost += np.float32(DISAGREEMENT) * min(off, np.float32(MOST_DISAGREEMENT))
         if cost < least:
             least, second = cost, least
         elif cost < second:
             second = cost
+    # `second` starts as infinity and becomes NO_MATCH with the first match: at least NO_MATCH, it
+    # is no cost of a source that matches.
     return least if second >= NO_MATCH else (least + second) / 2
 
 
 @no_type_check
 @njit(**COMPILED, fastmath=True)
-def _see(views, s, y, x, window, w, p, q):
-    """Fill a window with the colours that source s shows of a piece of surface; outside those of its border."""
+def _warp_source(problem, s, y, x, window, w, p, q):
+    """Fill a window with the colours that source s shows of a piece of surface.
+
+    Points outside of the source have the colours of its border.
+    """
     weights, _, seen, _ = window
-    others, reach, step = views.others, views.reach, views.step
-    _, height, width, channels = others.shape
+    sources, reach, stride = problem.sources, problem.reach, problem.stride
+    _, height, width, channels = sources.shape
+    ahead, epipole = problem.at_infinity, problem.epipole
+    half = np.float32(0.5)
     k = -1
-    for j in range(-reach * step, reach * step + 1, step):
-        for i in range(-reach * step, reach * step + 1, step):
+    for j in range(-reach * stride, reach * stride + 1, stride):
+        for i in range(-reach * stride, reach * stride + 1, stride):
             k += 1
             if weights[k] == 0:
                 continue
-            at = w * (1 + (p * i + q * j) / views.focal)
-            z = 1 / max(views.ahead[s, y + j, x + i, 2] + at * views.shift[s, 2], np.float32(1e-6))
-            u = (views.ahead[s, y + j, x + i, 0] + at * views.shift[s, 0]) * z - np.float32(0.5)
-            v = (views.ahead[s, y + j, x + i, 1] + at * views.shift[s, 1]) * z - np.float32(0.5)
+            at = w * (1 + (p * i + q * j) / problem.focal)
+            # The middle lies before the source, but a steep plane may pass behind it. Kept before
+            # it, such points end up at the border instead of on the opposite side of the image.
+            z = 1 / max(ahead[s, y + j, x + i, 2] + at * epipole[s, 2], np.float32(1e-6))
+            # Middles of pixels lie at halves, and colours are interpolated between middles.
+            u = (ahead[s, y + j, x + i, 0] + at * epipole[s, 0]) * z - half
+            v = (ahead[s, y + j, x + i, 1] + at * epipole[s, 1]) * z - half
             u = min(max(u, np.float32(0)), np.float32(width - 1))
             v = min(max(v, np.float32(0)), np.float32(height - 1))
             left, top = int(u), int(v)
@@ -244,11 +299,11 @@ def _see(views, s, y, x, window, w, p, q):
             u -= left
             v -= top
             for c in range(channels):
-                upper = others[s, top, left, c] + u * (
-                    others[s, top, right, c] - others[s, top, left, c]
+                upper = sources[s, top, left, c] + u * (
+                    sources[s, top, right, c] - sources[s, top, left, c]
                 )
-                lower = others[s, bottom, left, c] + u * (
-                    others[s, bottom, right, c] - others[s, bottom, left, c]
+                lower = sources[s, bottom, left, c] + u * (
+                    sources[s, bottom, right, c] - sources[s, bottom, left, c]
                 )
                 seen[c, k] = upper + v * (lower - upper)
 
@@ -256,7 +311,7 @@ def _see(views, s, y, x, window, w, p, q):
 @no_type_check
 @njit(**COMPILED, fastmath=True)
 def _correlation(window):
-    """Of the colours in a window, each about its own mean, with those of a source."""
+    """Return the correlation of a window's colours, each about its own mean, with a source's."""
     weights, own, seen, variance = window
     squares, common = np.float32(0), np.float32(0)
     for c in range(len(seen)):
@@ -265,6 +320,8 @@ def _correlation(window):
             mean += weights[k] * seen[c, k]
             squares += weights[k] * seen[c, k] ** 2
             common += own[c, k] * seen[c, k]
+        # One pass, mean of squares minus square of the mean. Its rounding, 1e-7 of colours in
+        # [0, 1], is small against the floor, but may make it negative.
         squares -= mean**2
-    faint = np.float32(FAINT)
-    return common / np.sqrt((variance[0] + faint) * (max(squares, np.float32(0)) + faint))
+    floor = np.float32(VARIANCE_FLOOR)
+    return common / np.sqrt((variance[0] + floor) * (max(squares, np.float32(0)) + floor))

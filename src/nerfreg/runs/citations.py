@@ -3,50 +3,34 @@
 from __future__ import annotations
 
 import re
+import sys
+from collections.abc import Iterator
+from importlib.resources import files
+from importlib.resources.abc import Traversable
 from pathlib import Path
 
 from omegaconf import OmegaConf
 
-from nerfreg.errors import NerfregError
+from nerfreg.errors import NerfregError, nearest
+from nerfreg.hooks import Regularizer
 from nerfreg.registry import installed
 
-CORE = """@inproceedings{mildenhall2020nerf,
-  title = {{NeRF}: Representing Scenes as Neural Radiance Fields for View Synthesis},
-  author = {Mildenhall, Ben and Srinivasan, Pratul P. and Tancik, Matthew and Barron, Jonathan T. and Ramamoorthi, Ravi
-            and Ng, Ren},
-  booktitle = {ECCV},
-  year = {2020}
-}
+BIBLIOGRAPHY = "references.bib"
+"""File in a package that holds the BibTeX entries its plugins name by their keys."""
 
-@article{muller2022instant,
-  title = {Instant Neural Graphics Primitives with a Multiresolution Hash Encoding},
-  author = {M{\\"u}ller, Thomas and Evans, Alex and Schied, Christoph and Keller, Alexander},
-  journal = {ACM Transactions on Graphics},
-  volume = {41},
-  number = {4},
-  pages = {102:1--102:15},
-  year = {2022}
-}
-
-@inproceedings{kingma2015adam,
-  title = {Adam: A Method for Stochastic Optimization},
-  author = {Kingma, Diederik P. and Ba, Jimmy},
-  booktitle = {ICLR},
-  year = {2015}
-}"""
-
-LPIPS = """@inproceedings{zhang2018unreasonable,
-  title = {The Unreasonable Effectiveness of Deep Features as a Perceptual Metric},
-  author = {Zhang, Richard and Isola, Phillip and Efros, Alexei A. and Shechtman, Eli and Wang, Oliver},
-  booktitle = {CVPR},
-  year = {2018}
-}"""
+CORE = "mildenhall2020nerf, muller2022instant, kingma2015adam"
+LPIPS = "zhang2018unreasonable"
 
 
 def cite(run: Path) -> str:
-    """BibTeX entries of the core and of the run's plugins, each once.
+    """Return the BibTeX entries of the core and of the run's plugins, each once.
 
-    Raises NerfregError where the run's configuration cannot be read.
+    Args:
+        run: Folder of the run.
+
+    Raises:
+        NerfregError: The run's configuration cannot be read, or the sources of one of its plugins
+            cannot be found.
     """
     path = run / ".hydra" / "config.yaml"
     try:
@@ -58,21 +42,71 @@ def cite(run: Path) -> str:
             f"{path}: not the configuration of a run ({type(error).__name__})"
         ) from error
     known = {plugin.name: plugin for plugin in installed()}
-    texts = [CORE, LPIPS] if with_lpips else [CORE]
+    entries = _core_entries(with_lpips)
     for name in selected:
         plugin = known.get(name)
         if plugin is None or plugin.cls is None:
             raise NerfregError(
                 f"{path}: reg.{name} is not installed here, its source cannot be told"
             )
-        texts.append(plugin.cls.cite)
-    entries = [entry for text in texts for entry in _entries(text)]
-    return "\n\n".join(dict(entries).values())
+        entries |= plugin_entries(name, plugin.cls)
+    return "\n\n".join(entries.values())
 
 
-def _entries(text: str) -> list[tuple[str, str]]:
-    """(key, entry) pairs: an entry begins with @ at the start of a line."""
-    entries = [
-        entry.strip() for entry in re.split(r"^(?=@)", text, flags=re.MULTILINE) if entry.strip()
-    ]
-    return [(entry.partition("{")[2].partition(",")[0].strip(), entry) for entry in entries]
+def plugin_entries(name: str, cls: type[Regularizer]) -> dict[str, str]:
+    """Return the BibTeX entries of one plugin by their keys.
+
+    Its `cite` is either BibTeX text or a list of keys, separated by commas. Keys are looked up in
+    the file `references.bib` of the package that holds the plugin's module, or of the closest
+    parent package that has such a file.
+
+    Args:
+        name: What the plugin is called in a configuration, for messages.
+        cls: The plugin's class.
+
+    Raises:
+        NerfregError: A key is not in the file, or there is no file.
+    """
+    if "@" in cls.cite:
+        return _entries(cls.cite)
+    if not cls.cite.strip():
+        return {}
+    # A subclass in another package inherits `cite`, but the keys belong to the package whose
+    # class wrote them down.
+    owner = next(base for base in cls.__mro__ if "cite" in vars(base))
+    package = sys.modules[owner.__module__].__package__ or ""
+    file = next((found for found in _bibliographies(package) if found.is_file()), None)
+    if file is None:
+        raise NerfregError(
+            f"plugin {name}: cites '{cls.cite}', but there is no {BIBLIOGRAPHY} "
+            f"in the package of {owner.__module__} or a parent of it"
+        )
+    return _picked(f"plugin {name}", cls.cite, file)
+
+
+def _core_entries(with_lpips: bool) -> dict[str, str]:
+    keys = f"{CORE}, {LPIPS}" if with_lpips else CORE
+    return _picked("nerfreg", keys, files("nerfreg.runs") / BIBLIOGRAPHY)
+
+
+def _bibliographies(package: str) -> Iterator[Traversable]:
+    while package:
+        yield files(package) / BIBLIOGRAPHY
+        package = package.rpartition(".")[0]
+
+
+def _picked(who: str, keys: str, file: Traversable) -> dict[str, str]:
+    entries = _entries(file.read_text(encoding="utf-8"))
+    picked = {}
+    for key in filter(None, map(str.strip, keys.split(","))):
+        if key not in entries:
+            raise NerfregError(f"{who}: cites '{key}', not in {file}; {nearest(key, entries)}")
+        picked[key] = entries[key]
+    return picked
+
+
+def _entries(text: str) -> dict[str, str]:
+    # An entry begins with @ at the start of a line; BibTeX ignores what stands before the first.
+    parts = re.split(r"^[ \t]*(?=@)", text, flags=re.MULTILINE)
+    entries = [part.strip() for part in parts if part.startswith("@")]
+    return {entry.partition("{")[2].partition(",")[0].strip(): entry for entry in entries}

@@ -1,4 +1,7 @@
-"""Surfaces before two cameras side by side: what is at inverse depth w appears focal * w pixels further left."""
+"""Surfaces before two cameras side by side.
+
+What is at inverse depth w appears focal * w pixels further left in the second.
+"""
 
 from __future__ import annotations
 
@@ -7,15 +10,15 @@ import math
 import numpy as np
 import pytest
 from nerfreg_plugins.stereo.patch_match import (
-    ALIKE,
-    DOUBTED,
-    FAINT,
-    MOST,
+    COLOR_SCALE,
+    DISAGREEMENT,
+    MOST_DISAGREEMENT,
     NO_MATCH,
-    Comparison,
+    VARIANCE_FLOOR,
+    MatchingProblem,
     _cost,
-    _look,
-    _window,
+    _load_window,
+    _new_window,
     patch_match,
 )
 
@@ -33,7 +36,7 @@ def noise(seed=0, channels=3):
 def comparison(own, others, baselines=(1.0,), believed=math.nan, reach=1, step=2):
     x, y = np.meshgrid(np.arange(WIDTH) + 0.5, np.arange(HEIGHT) + 0.5)
     ahead = np.stack([x, y, np.ones_like(x)], -1).astype(np.float32)
-    return Comparison(
+    return MatchingProblem(
         own,
         np.stack(others),
         np.stack([ahead] * len(others)),
@@ -47,8 +50,8 @@ def comparison(own, others, baselines=(1.0,), believed=math.nan, reach=1, step=2
 
 
 def cost(views, y, x, w, p=0.0, q=0.0):
-    window = _window(views)
-    _look(views, y, x, window)
+    window = _new_window(views)
+    _load_window(views, y, x, window)
     return _cost(views, y, x, window, *map(np.float32, (w, p, q)))
 
 
@@ -65,14 +68,14 @@ def seen(image, x, y):
 
 
 def by_definition(own, other, y, x, w, p, q, reach, step):
-    """1 - correlation of a window around (x, y), pixels like its middle counting more, in double precision."""
+    """1 - correlation of a window, pixels like its middle counting more, in float64."""
     weights, mine, theirs = [], [], []
     for j in range(-reach * step, reach * step + 1, step):
         for i in range(-reach * step, reach * step + 1, step):
             if 0 <= x + i < WIDTH and 0 <= y + j < HEIGHT:
                 color = own[y + j, x + i].astype(np.float64)
                 unlike = ((color - own[y, x]) ** 2).sum()
-                weights.append(1 / (1 + unlike / ALIKE**2) ** 2)
+                weights.append(1 / (1 + unlike / COLOR_SCALE**2) ** 2)
                 mine.append(color)
                 here = w * (1 + (p * i + q * j) / FOCAL)
                 theirs.append(seen(other, x + i + 0.5 - FOCAL * here, y + j + 0.5))
@@ -82,7 +85,9 @@ def by_definition(own, other, y, x, w, p, q, reach, step):
         np.array(theirs),
     )
     mine, theirs = mine - (weights * mine).sum(0), theirs - (weights * theirs).sum(0)
-    variances = ((weights * mine**2).sum() + FAINT) * ((weights * theirs**2).sum() + FAINT)
+    variances = ((weights * mine**2).sum() + VARIANCE_FLOOR) * (
+        (weights * theirs**2).sum() + VARIANCE_FLOOR
+    )
     return 1 - (weights * mine * theirs).sum() / math.sqrt(variances)
 
 
@@ -95,7 +100,7 @@ def test_cost_against_the_definition(channels, y, x, w, p, q, reach, step):
     own, other = noise(0, channels), noise(1, channels)
     views = comparison(own, [other], reach=reach, step=step)
     expected = by_definition(own, other, y, x, w, p, q, reach, step)
-    # The squares of float32 colours are rounded at 1e-7, of FAINT that is 3e-4.
+    # The squares of float32 colours are rounded at 1e-7, of VARIANCE_FLOOR that is 3e-4.
     assert cost(views, y, x, w, p, q) == pytest.approx(expected, rel=1e-3, abs=1e-3)
 
 
@@ -106,7 +111,9 @@ def test_the_two_best_sources_count():
         float(cost(comparison(own, [source], (0.0,)), 9, 12, 0.1))
         for source in (same, negative, other)
     ]
-    assert alone[0] == pytest.approx(0, abs=0.1) and alone[1] == pytest.approx(2, abs=0.1)  # FAINT
+    assert alone[0] == pytest.approx(0, abs=0.1) and alone[1] == pytest.approx(
+        2, abs=0.1
+    )  # VARIANCE_FLOOR
     together = cost(comparison(own, [negative, same, other], (0.0, 0.0, 0.0)), 9, 12, 0.1)
     assert together == pytest.approx((alone[0] + alone[2]) / 2)
 
@@ -122,17 +129,19 @@ def test_a_source_that_does_not_see_the_place_says_nothing(baseline):
 def test_behind_a_source_is_nothing():
     own = noise()
     views = comparison(own, [own], (0.0,))
-    views.shift[0] = -20 * views.ahead[0, 9, 12]
+    views.epipole[0] = -20 * views.at_infinity[0, 9, 12]
     assert cost(views, 9, 12, 0.04) != NO_MATCH
     assert cost(views, 9, 12, 0.06) == NO_MATCH
 
 
-@pytest.mark.parametrize("gaps, doubted", [(0, 0), (1.5, 1.5), (-2, 2), (30, MOST), (math.nan, 0)])
+@pytest.mark.parametrize(
+    "gaps, doubted", [(0, 0), (1.5, 1.5), (-2, 2), (30, MOST_DISAGREEMENT), (math.nan, 0)]
+)
 def test_it_costs_to_be_elsewhere_than_a_source_believes(gaps, doubted):
     own, other = noise(), noise(1)
     unasked = cost(comparison(own, [other]), 9, 12, 0.1)
     asked = cost(comparison(own, [other], believed=0.1 + 0.001 * gaps), 9, 12, 0.1)
-    assert asked - unasked == pytest.approx(DOUBTED * doubted, abs=1e-4)
+    assert asked - unasked == pytest.approx(DISAGREEMENT * doubted, abs=1e-4)
 
 
 def test_without_texture_there_is_no_correlation():
@@ -141,7 +150,10 @@ def test_without_texture_there_is_no_correlation():
 
 
 def slanted(slope):
-    """What a camera one unit further right sees of a surface at inverse depth 0.1 (1 + slope (x - 12) / FOCAL)."""
+    """Two images of a surface at inverse depth 0.1 (1 + slope (x - 12) / FOCAL).
+
+    The second camera is one unit further right.
+    """
     own = noise()
     other = np.zeros_like(own)
     for x in range(WIDTH):

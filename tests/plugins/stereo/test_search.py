@@ -61,7 +61,7 @@ def wall(depth):
 
 
 def correctness(photos, depth, **options):
-    """Share of the middle photograph's pixels about which something is known, and how often it is right."""
+    """How much is known of the middle photograph's pixels, and how often it is right."""
     known = agreed_depth(photos, **options)[1]
     found = known.isfinite().all(-1)
     truth = distances(photos, depth)[1]
@@ -80,8 +80,8 @@ def test_a_wall():
     # The middle camera sees all but 0.6 * 40 / 5 = 4.8 pixels at either side in another photograph.
     assert found[1].float().mean() > 0.9
     assert inside[found].float().mean() > 0.99
-    # A point at depth 5 moves by 0.6 * 40 / z pixels between neighbours, and twice that to the farthest source, so a
-    # pixel either way is a depth of 25 / 48 either way.
+    # A point at depth 5 moves by 0.6 * 40 / z pixels between neighbours, and twice that to the
+    # farthest source, so a pixel either way is a depth of 25 / 48 either way.
     width = (known[..., 1] - known[..., 0])[found].median()
     assert 0.8 < width < 1.4
 
@@ -115,7 +115,8 @@ def test_reduced_photographs_give_whole_maps():
 
 
 def test_a_floor_at_a_grazing_angle():
-    # Depth along the axis where the ray meets y = -1.5; the middle of the picture is bounded by a wall.
+    # Depth along the axis where the ray meets y = -1.5; the middle of the picture is bounded by a
+    # wall.
     def depth_of(origins, directions):
         return torch.minimum(-1.5 / directions[:, 1].clamp_max(-1e-6), torch.tensor(11.0))
 

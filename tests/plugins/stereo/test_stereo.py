@@ -19,13 +19,15 @@ def loss(tau: torch.Tensor, edges: torch.Tensor, known: torch.Tensor, doubt: flo
 
 
 def test_by_hand(dtype, finite_gradients):
-    # Half of what is left stays in each: weights 1/2, 1/4, 1/8, 1/16. Between 1.5 and 2.5 are the second and the third;
-    # the others are half an extent away from there, once, and count half: m = 1/4 + 1/4 + 1/8 + 1/32.
+    # Half of what is left stays in each: weights 1/2, 1/4, 1/8, 1/16. Between 1.5 and 2.5 are the
+    # second and the third; the others are half an extent away from there, once, and count half:
+    # m = 1/4 + 1/4 + 1/8 + 1/32.
     tau = torch.full((1, 4), math.log(2), dtype=dtype, requires_grad=True)
     edges = torch.arange(5, dtype=dtype)[None]
     value = loss(tau, edges, torch.tensor([[1.5, 2.5]], dtype=dtype), doubt=0.1)
     assert value.item() == pytest.approx(math.log(1.1 / 0.75625))
-    # By tau_j m changes by what counts of the light behind j, less what counts of the weights there.
+    # By tau_j m changes by what counts of the light behind j, less what counts of the weights
+    # there.
     changes = torch.tensor([1 / 4 - 13 / 32, 1 / 4 - 5 / 32, 1 / 8 - 1 / 32, 1 / 32])
     gradient = finite_gradients(value, tau)[0]
     assert gradient[0].tolist() == pytest.approx((-changes / 0.75625).tolist(), abs=1e-6)
@@ -55,8 +57,8 @@ def test_all_weight_there_is_no_loss(finite_gradients):
 
 
 def test_nearly_all_weight_there_keeps_its_digits(dtype):
-    # A haze of 1e-9 before the wall, 4 times half the extent away, and exp(-25) behind it; together far below what
-    # 1 - m could tell in float32.
+    # A haze of 1e-9 before the wall, 4 times half the extent away, and exp(-25) behind it; together
+    # far below what 1 - m could tell in float32.
     tau = torch.tensor([[1e-9, 25.0]], dtype=dtype)
     value = loss(
         tau, torch.tensor([[0.0, 1.0, 2.0]], dtype=dtype), torch.tensor([[1.2, 1.3]]), doubt=0.1
