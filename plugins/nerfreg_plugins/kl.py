@@ -7,6 +7,7 @@ in CombiNeRF (Bonotto et al. 2024).
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from enum import StrEnum, auto
 from typing import Any, ClassVar
@@ -46,7 +47,7 @@ def kl_divergence(
     """
     ray, empty = _filled(double(log_weights))
     neighbor, neighbor_empty = _filled(double(neighbor_log_weights))
-    divergence = torch.where(empty | neighbor_empty, 0.0, _Divergence.apply(ray, neighbor))
+    divergence = torch.where(empty | neighbor_empty, 0.0, _divergence(ray, neighbor))
     return (divergence.sum() / max(len(log_weights), 1)).to(single(log_weights).dtype)
 
 
@@ -90,6 +91,9 @@ class _Divergence(torch.autograd.Function):
         # Both are backward passes of a softmax, which take away the mean under its distribution.
         ray_grad = p * (cost - (p * cost).sum(-1, keepdim=True))
         return grad * ray_grad, grad * (q * free.sum(-1, keepdim=True) - free)
+
+
+_divergence: Callable[[Tensor, Tensor], Tensor] = _Divergence.apply
 
 
 def _log_ratio(

@@ -268,8 +268,9 @@ class Regularizer:
     Three class variables are no configuration. `by_layout` maps a camera layout ("orbit" or
     "forward") to defaults that differ there, such as `{"forward": {"weight": 2e-5}}`; they hold
     wherever the user says nothing. `conflicts` names plugins that cannot be active in the same
-    run. `cite` says what to cite: BibTeX entries, or the keys, separated by commas, of entries in a
-    file `references.bib` of the plugin's package.
+    run. `cite` gives the sources for `nerfreg cite`: BibTeX text, or keys, separated by commas, of
+    entries in a file `references.bib` in the package of the plugin's module or the closest parent
+    package that has one.
 
     Attributes:
         weight: Factor of every term that `nerfreg_loss` returns; 0 switches the plugin off at no
