@@ -1,0 +1,64 @@
+"""A Sphinx extension that writes the reference pages from the code they describe.
+
+A page holds a comment `<!-- generated: NAME ARGUMENT -->` on a line of its own, which the build replaces by Markdown.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+from nerfreg_docs.command_line import command_line
+from nerfreg_docs.configuration import configuration
+from nerfreg_docs.modules import modules, names_of_package
+from nerfreg_docs.regularizers import regularizers
+
+if TYPE_CHECKING:
+    from sphinx.application import Sphinx
+
+MARKER = re.compile(r"^<!-- generated: (\S+)(?: (\S+))? -->$", re.MULTILINE)
+
+
+def generators() -> dict[str, Callable[..., str]]:
+    """The generators by the name that pages call them."""
+    return {
+        "command_line": command_line,
+        "configuration": configuration,
+        "modules": modules,
+        "names": names_of_package,
+        "regularizers": regularizers,
+    }
+
+
+def fill(text: str) -> str:
+    """Replace every marker of a page.
+
+    Raises:
+        KeyError: A marker names a generator that does not exist.
+    """
+
+    def generated(match: re.Match[str]) -> str:
+        arguments = [match[2]] if match[2] else []
+        return generators()[match[1]](*arguments)
+
+    return MARKER.sub(generated, text)
+
+
+def setup(app: Sphinx) -> dict[str, Any]:
+    """Register the extension with Sphinx."""
+
+    def read(app: Sphinx, page: str, source: list[str]) -> None:
+        if MARKER.search(source[0]):
+            # The page depends on code that Sphinx does not track, so that it is read in every build.
+            app.env.note_reread()
+            source[0] = fill(source[0])
+
+    def keep_first_line(app: Sphinx, what: str, *rest: Any) -> None:
+        if what in ("attribute", "data", "property"):
+            # Napoleon takes what stands before a colon in the first line for a type.
+            rest[-1].insert(0, "")
+
+    app.connect("source-read", read)
+    app.connect("autodoc-process-docstring", keep_first_line, priority=400)
+    return {"version": "1", "parallel_read_safe": True, "parallel_write_safe": True}
