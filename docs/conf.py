@@ -34,7 +34,7 @@ autodoc_typehints = "none"
 autodoc_preserve_defaults = True
 napoleon_google_docstring = True
 napoleon_numpy_docstring = False
-# One list of attributes in the docstring's place, instead of an entry for each beside autodoc's own.
+# One list where the docstring has it; otherwise each attribute is an entry beside autodoc's own.
 napoleon_use_ivar = True
 
 highlight_language = "none"

@@ -2,8 +2,8 @@
 
     python docs/make_teaser.py RUNS
 
-trains `RUNS/vanilla` and `RUNS/combinerf_plus` with all defaults, unless they are there already, and shows the test view
-whose gain in PSNR is the median of all test views.
+trains `RUNS/vanilla` and `RUNS/combinerf_plus` with all defaults, unless they are there already,
+and shows the test view whose gain in PSNR is the median of all test views.
 """
 
 from __future__ import annotations

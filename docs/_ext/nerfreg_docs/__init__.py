@@ -1,6 +1,7 @@
 """A Sphinx extension that writes the reference pages from the code they describe.
 
-A page holds a comment `<!-- generated: NAME ARGUMENT -->` on a line of its own, which the build replaces by Markdown.
+A page holds a comment `<!-- generated: NAME ARGUMENT -->` on a line of its own, which the build
+replaces by Markdown.
 """
 
 from __future__ import annotations
@@ -50,7 +51,7 @@ def setup(app: Sphinx) -> dict[str, Any]:
 
     def read(app: Sphinx, page: str, source: list[str]) -> None:
         if MARKER.search(source[0]):
-            # The page depends on code that Sphinx does not track, so that it is read in every build.
+            # The page depends on code that Sphinx does not track, so every build has to read it.
             app.env.note_reread()
             source[0] = fill(source[0])
 

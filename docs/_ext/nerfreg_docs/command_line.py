@@ -18,7 +18,7 @@ def command_line() -> str:
 
 
 def describe(parser: argparse.ArgumentParser, level: int = 2) -> str:
-    """A parser as Markdown: its usage, arguments and sub-commands, which become headings of `level`."""
+    """A parser as Markdown: its usage, arguments and sub-commands, under headings of `level`."""
     parts = [_usage(parser), plain(parser.description or ""), _arguments(parser)]
     if parser.epilog:
         parts.append(_literal(parser.epilog))

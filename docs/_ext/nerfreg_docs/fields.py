@@ -53,7 +53,8 @@ def type_name(hint: Any) -> str:
     if origin in (Union, types.UnionType):
         return " or ".join(map(type_name, parameters))
     if origin is list or hint is list:
-        return f"list of {type_name(parameters[0])}" if parameters else "list"
+        named = parameters and parameters[0] is not Any
+        return f"list of {type_name(parameters[0])}" if named else "list"
     if origin is dict or hint is dict:
         return f"map to {type_name(parameters[1])}" if parameters else "map"
     return {"str": "string"}.get(hint.__name__, hint.__name__)
