@@ -37,13 +37,16 @@ def _literal(text: str) -> str:
 
 
 def _arguments(parser: argparse.ArgumentParser) -> str:
-    rows = [
-        [_name(action), _help(parser, action), _default(action)]
+    shown = [
+        action
         for action in parser._actions
         if action.help != argparse.SUPPRESS
         and not isinstance(action, argparse._SubParsersAction | argparse._HelpAction)
     ]
-    return table(["argument", "meaning", "default"], rows) if rows else ""
+    # As in the usage: what is told by its position comes before options, and these as declared.
+    shown.sort(key=lambda action: bool(action.option_strings))
+    rows = [[_name(action), _help(parser, action)] for action in shown]
+    return table(["argument", "meaning"], rows) if rows else ""
 
 
 def _name(action: argparse.Action) -> str:
@@ -61,13 +64,6 @@ def _name(action: argparse.Action) -> str:
 def _help(parser: argparse.ArgumentParser, action: argparse.Action) -> str:
     formatter = argparse.HelpFormatter(parser.prog)
     return plain(formatter._expand_help(action) if action.help else "")
-
-
-def _default(action: argparse.Action) -> str:
-    hidden = (None, False, argparse.SUPPRESS)
-    if action.default in hidden or action.default == [] or not action.option_strings:
-        return ""
-    return code(str(action.default))
 
 
 def _commands(
