@@ -55,8 +55,8 @@ def blocks(page: str) -> list[Block]:
 
 
 def commands(text: str) -> Iterator[list[str]]:
-    """The words of the lines that follow a prompt; comments are left out."""
-    for line in text.splitlines():
+    """The words of each command that follows a prompt; comments are left out."""
+    for line in text.replace("\\\n", " ").splitlines():
         if line.startswith("$ "):
             yield shlex.split(line.removeprefix("$ "), comments=True)
 
@@ -131,5 +131,5 @@ def test_blocks_are_found_with_their_files() -> None:
 
 
 def test_commands_are_told_from_output() -> None:
-    text = "$ nerfreg train '+reg=[kl]'  # a comment\npsnr 27.3\n$ nerfreg plugins\n"
+    text = "$ nerfreg train \\\n  '+reg=[kl]'  # a comment\npsnr 27.3\n$ nerfreg plugins\n"
     assert list(commands(text)) == [["nerfreg", "train", "+reg=[kl]"], ["nerfreg", "plugins"]]
