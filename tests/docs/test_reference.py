@@ -14,6 +14,7 @@ from nerfreg_docs.configuration import configuration
 from nerfreg_docs.docstrings import attributes, summary
 from nerfreg_docs.fields import fields_table, type_name, yaml_value
 from nerfreg_docs.markdown import plain, table
+from nerfreg_docs.markup import restructured
 from nerfreg_docs.modules import modules, names_of_package
 from nerfreg_docs.regularizers import own_plugins, regularizers
 
@@ -101,6 +102,31 @@ def test_values_as_they_are_typed() -> None:
 def test_text_is_escaped_but_not_code() -> None:
     assert plain("a*b_c `d*e_f` <g>") == "a\\*b\\_c `d*e_f` \\<g>"
     assert table(["a"], [["b | c\nd"]]) == "| a |\n| --- |\n| b \\| c d |"
+
+
+def test_docstrings_become_restructured_text() -> None:
+    lines = [
+        "|x| and a*b, `|y| *z",
+        "w_` v_ and a * b, u_v.",
+        "",
+        "A wrapper:",
+        "",
+        "    a*b",
+        "",
+        "End",
+    ]
+    assert restructured(lines) == [
+        "\\|x\\| and a\\*b, `|y| *z",
+        "w_` v\\_ and a * b, u_v.",
+        "",
+        "A wrapper::",
+        "",
+        "    a*b",
+        "",
+        "End",
+    ]
+    section = ["Args:", "    n: Length.", "", "Returns:", "    Its square."]
+    assert restructured(section) == section
 
 
 def test_parser_with_commands() -> None:

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from nerfreg_docs.command_line import command_line
 from nerfreg_docs.configuration import configuration
+from nerfreg_docs.markup import restructured
 from nerfreg_docs.modules import modules, names_of_package
 from nerfreg_docs.regularizers import regularizers
 
@@ -55,11 +56,21 @@ def setup(app: Sphinx) -> dict[str, Any]:
             app.env.note_reread()
             source[0] = fill(source[0])
 
-    def keep_first_line(app: Sphinx, what: str, *rest: Any) -> None:
+    hidden: list[str] = []
+
+    def prepare(app: Sphinx, what: str, *rest: Any) -> None:
+        rest[-1][:] = restructured(rest[-1])
         if what in ("attribute", "data", "property"):
-            # Napoleon takes what stands before a colon in the first line for a type.
-            rest[-1].insert(0, "")
+            hidden[:] = rest[-1]
+            rest[-1].clear()
+
+    def restore(app: Sphinx, what: str, *rest: Any) -> None:
+        if what in ("attribute", "data", "property"):
+            rest[-1][:] = hidden
 
     app.connect("source-read", read)
-    app.connect("autodoc-process-docstring", keep_first_line, priority=400)
+    # Napoleon, whose priority is 500, takes what stands before a colon in the docstring of an
+    # attribute for its type.
+    app.connect("autodoc-process-docstring", prepare, priority=400)
+    app.connect("autodoc-process-docstring", restore, priority=600)
     return {"version": "1", "parallel_read_safe": True, "parallel_write_safe": True}
