@@ -36,6 +36,8 @@ napoleon_google_docstring = True
 napoleon_numpy_docstring = False
 # One list where the docstring has it; otherwise each attribute is an entry beside autodoc's own.
 napoleon_use_ivar = True
+# Annotations of jaxtyping are shapes, which Sphinx would take for names to look up.
+napoleon_attr_annotations = False
 
 highlight_language = "none"
 html_theme = "furo"
