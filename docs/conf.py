@@ -34,10 +34,8 @@ autodoc_typehints = "none"
 autodoc_preserve_defaults = True
 napoleon_google_docstring = True
 napoleon_numpy_docstring = False
-# One list where the docstring has it; otherwise each attribute is an entry beside autodoc's own.
-napoleon_use_ivar = True
-# Annotations of jaxtyping are shapes, which Sphinx would take for names to look up.
-napoleon_attr_annotations = False
+# One list, without the annotations, which are shapes that Sphinx would take for names to look up.
+napoleon_custom_sections = [("Attributes", "params_style")]
 
 highlight_language = "none"
 html_theme = "furo"

@@ -39,8 +39,7 @@ class Base:
 
 @dataclass
 class Derived(Base):
-    """First line,
-    continued.
+    """First line.
 
     More words.
 
@@ -62,7 +61,7 @@ def test_attributes_of_a_class_and_its_bases() -> None:
         "depth": "Metres, or None if unknown: a guess.",
         "names": "Labels | tags.",
     }
-    assert summary(Derived) == "First line, continued."
+    assert summary(Derived) == "First line."
 
 
 def test_table_of_fields() -> None:
