@@ -57,7 +57,8 @@ def type_name(hint: Any) -> str:
         return f"list of {type_name(parameters[0])}" if named else "list"
     if origin is dict or hint is dict:
         return f"map to {type_name(parameters[1])}" if parameters else "map"
-    return {"str": "string"}.get(hint.__name__, hint.__name__)
+    name: str = hint.__name__
+    return {"str": "string"}.get(name, name)
 
 
 def default_text(
