@@ -125,7 +125,7 @@ def test_docstrings_become_restructured_text() -> None:
         "End",
     ]
     section = ["Args:", "    n: Length.", "", "Returns:", "    Its square."]
-    assert restructured(section) == section
+    assert restructured(section) == [*section[:-1], "    : Its square."]
 
 
 def test_parser_with_commands() -> None:

@@ -6,6 +6,7 @@ replaces by Markdown.
 
 from __future__ import annotations
 
+import inspect
 import re
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
@@ -68,7 +69,12 @@ def setup(app: Sphinx) -> dict[str, Any]:
         if what in ("attribute", "data", "property"):
             rest[-1][:] = hidden
 
+    def skip(app: Sphinx, what: str, name: str, thing: object, *rest: Any) -> bool | None:
+        # Functions of mpmath are methods of its context and do not look imported.
+        return True if what == "module" and inspect.ismethod(thing) else None
+
     app.connect("source-read", read)
+    app.connect("autodoc-skip-member", skip)
     # Napoleon, whose priority is 500, takes what stands before a colon in the docstring of an
     # attribute for its type.
     app.connect("autodoc-process-docstring", prepare, priority=400)

@@ -12,6 +12,9 @@ SPECIAL = re.compile(r"\||\*(?=\S)|(?<=\w)_(?!\w)")
 """What reStructuredText would take for a substitution, emphasis or a link."""
 
 
+RETURNS = ("Returns:", "Yields:")
+
+
 def restructured(lines: Sequence[str]) -> list[str]:
     """Mark indented blocks as literal, and escape what is no markup.
 
@@ -34,6 +37,9 @@ def restructured(lines: Sequence[str]) -> list[str]:
             if index < len(parts) - 1:
                 code = not code
         text = "`".join(parts)
+        if number and lines[number - 1].strip() in RETURNS:
+            # Napoleon would take text before a colon for a type, so it gets an empty one.
+            text = f"{text[:indent]}: {text[indent:]}"
         result.append(f"{text}:" if literal is not None and not text.endswith("::") else text)
     return result
 
