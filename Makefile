@@ -1,4 +1,5 @@
-# make demo: install, then train on a scene that needs no file. make test, make lint, make docs: what CI runs.
+# make demo: install, then train on a scene that needs no file.
+# make test, make lint, make docs: what CI runs.
 PYTHON ?= python3
 VENV ?= .venv
 BIN = $(VENV)/bin
