@@ -27,7 +27,9 @@ def bad(bad_packages: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_is_what_the_documentation_prints() -> None:
     source = (PACKAGES / "binary" / "nerfreg_binary" / "__init__.py").read_text(encoding="utf-8")
-    page = (PACKAGES.parents[2] / "docs" / "write_a_plugin.md").read_text(encoding="utf-8")
+    page = (PACKAGES.parents[2] / "docs" / "tutorials" / "your_regularizer.md").read_text(
+        encoding="utf-8"
+    )
     assert f"```python\n{source}```" in page
 
 
