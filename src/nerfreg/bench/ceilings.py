@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from time import perf_counter
 
 import torch
 from torch import nn
 
+from nerfreg.bench.timing import in_turns
 from nerfreg.field.radiance_field import RadianceField
 from nerfreg.field.workers import in_shares, threads
 
@@ -20,8 +20,13 @@ PASSES = 3
 
 @dataclass(frozen=True)
 class Ceilings:
-    """network_gflops: float32 matrix products of 4096 x 64 x 64, one after the other on every thread.
-    square_gflops: one large square product on all threads. bandwidth_gbs: reading and writing, in a large copy."""
+    """The best rates of the machine, with all threads.
+
+    Attributes:
+        network_gflops: Products of 4096 x 64 x 64, one after the other on every thread.
+        square_gflops: One large square product.
+        bandwidth_gbs: Reading and writing, in a large copy, in GB/s.
+    """
 
     network_gflops: float
     square_gflops: float
@@ -29,48 +34,49 @@ class Ceilings:
 
 
 def measure_ceilings(square: int, copy_mb: int, repetitions: int = 5) -> Ceilings:
-    """The best of some repetitions with all threads. square: side of the large product. copy_mb: what is copied."""
-    count = threads()
-    products = max(square // WIDTH, 1) * 8
+    """Return the best of some repetitions.
+
+    Args:
+        square: Side of the large product.
+        copy_mb: Size of what is copied.
+        repetitions: After one that does not count.
+    """
+    count, products = threads(), max(square // WIDTH, 1) * 8
+    a, b, product = (torch.rand(square, square) for _ in range(3))
+    source, target = (torch.zeros(copy_mb * 2**18) for _ in range(2))
 
     def on_every_thread() -> None:
         in_shares(count * ROWS, ROWS, lambda start, stop: _multiply(stop - start, products))
 
-    a, b, product = (torch.rand(square, square) for _ in range(3))
-    source, target = (torch.zeros(copy_mb * 2**18) for _ in range(2))
+    def giga_per_second(work: int, call: Callable[[], object]) -> float:
+        return work / min(in_turns([call], repetitions + 1)[0][1:]) / 1e9
+
     of_torch = torch.get_num_threads()
     torch.set_num_threads(count)
     try:
         return Ceilings(
-            count
-            * products
-            * product_flop(ROWS, WIDTH, WIDTH)
-            / _best(on_every_thread, repetitions)
-            / 1e9,
-            product_flop(square, square, square)
-            / _best(lambda: torch.mm(a, b, out=product), repetitions)
-            / 1e9,
-            2 * copy_mb * 2**20 / _best(lambda: target.copy_(source), repetitions) / 1e9,
+            giga_per_second(count * products * product_flop(ROWS, WIDTH, WIDTH), on_every_thread),
+            giga_per_second(
+                product_flop(square, square, square), lambda: torch.mm(a, b, out=product)
+            ),
+            giga_per_second(2 * copy_mb * 2**20, lambda: target.copy_(source)),
         )
     finally:
         torch.set_num_threads(of_torch)
 
 
 def product_flop(rows: int, inner: int, columns: int) -> int:
-    """Floating point operations of a matrix product: one multiplication and one addition each."""
+    """Return the operations of a matrix product: one multiplication and one addition each."""
     return 2 * rows * inner * columns
 
 
 def step_flop(field: RadianceField, points: float, colors: float) -> float:
-    """Floating point operations of both networks in a training step that evaluates so many densities and colours.
+    """Return the operations of both networks in a step with so many densities and colours.
 
-    Matrix products alone, and as if every level of the grid were alive.
+    Only matrix products count, and every level of the grid counts as alive.
     """
-    return (
-        PASSES
-        * (points * _weights(field.density_network) + colors * _weights(field.color_network))
-        * 2
-    )
+    density, color = _weights(field.density_network), _weights(field.color_network)
+    return 2 * PASSES * (points * density + colors * color)
 
 
 def _weights(network: nn.Module) -> int:
@@ -81,12 +87,3 @@ def _multiply(rows: int, times: int) -> None:
     x, weight, out = torch.rand(rows, WIDTH), torch.rand(WIDTH, WIDTH), torch.empty(rows, WIDTH)
     for _ in range(times):
         torch.mm(x, weight, out=out)
-
-
-def _best(call: Callable[[], object], repetitions: int) -> float:
-    seconds = []
-    for _ in range(repetitions + 1):
-        begun = perf_counter()
-        call()
-        seconds.append(perf_counter() - begun)
-    return min(seconds[1:])

@@ -1,24 +1,29 @@
-"""`nerfreg bench losses`: error and run time of every installed plugin's loss, beside the forms in use elsewhere.
+"""`nerfreg bench losses`: error and run time of every plugin's loss, beside other forms of it.
 
-A plugin takes part if it makes terms of a rendering alone and ships their exact values (`nerfreg_reference`).
+A plugin takes part if it makes terms of a rendering alone and ships their exact values
+(`nerfreg_reference`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from itertools import product
+from itertools import chain, product
 from pathlib import Path
+from statistics import median
 
 import torch
 from jaxtyping import Float
+from rich.table import Table
 from torch import Tensor
 
-from nerfreg.analysis.tables import Outcome, write_points
-from nerfreg.bench.inputs import INPUTS, Input
-from nerfreg.bench.rivals import RIVALS
-from nerfreg.bench.timing import median_seconds
+from nerfreg.analysis.curves import CurvePanel, draw_curves
+from nerfreg.analysis.tables import build_table, numbers, select, text
+from nerfreg.bench.inputs import INPUTS, LossInput
+from nerfreg.bench.outcome import BenchOutcome, publish_points
+from nerfreg.bench.rivals import MOST_SAMPLES, RIVALS
+from nerfreg.bench.timing import CONDITIONS, median_seconds
 from nerfreg.errors import NerfregError, NoRendererError
 from nerfreg.hooks import Rendering, Step
 from nerfreg.registry import Hooks, PluginInfo, installed
@@ -27,12 +32,14 @@ PLUGIN = "plugin"
 """The form of a loss that is the plugin's own."""
 DIFFERENTIABLE = ("density", "tau", "log_transmittance", "weights", "opacity", "depth", "rgb")
 SMALLEST = torch.finfo(torch.float32).tiny
+LOWEST, HIGHEST = 1e-9, 1e3
+"""Errors beyond are drawn there."""
 
 
 @dataclass(frozen=True)
-class Sizes:
-    """samples: per ray, ascending. rays: in each measurement of time. exact_rays: in each comparison with exact
-    values, which take long. repetitions: of each measurement of time."""
+class LossSizes:
+    """samples: per ray, ascending. rays: of which the time is measured. exact_rays: of which the
+    value is compared with the exact one, which takes long. repetitions: of each measured time."""
 
     samples: tuple[int, ...]
     rays: int
@@ -40,17 +47,20 @@ class Sizes:
     repetitions: int
 
 
-FULL = Sizes(tuple(2**k for k in range(3, 12)), rays=256, exact_rays=32, repetitions=7)
-QUICK = Sizes((8, 32), rays=32, exact_rays=16, repetitions=2)
+FULL = LossSizes(tuple(2**k for k in range(3, 12)), rays=256, exact_rays=32, repetitions=7)
+QUICK = LossSizes((8, 32), rays=32, exact_rays=16, repetitions=2)
 
 
 @dataclass(frozen=True)
-class Point:
+class LossPoint:
     """One loss in one form on one input.
 
-    value, exact: the sum of its terms on `exact_rays` rays in float32, and what it should be. relative_error: between
-    the two, where an exact value below the smallest normal float32 counts as that. milliseconds: forward and backward
-    on `rays` rays.
+    Attributes:
+        relative_error: Between value and exact; an exact value below the smallest normal float32
+            counts as that.
+        milliseconds: Forward and backward on `rays` rays.
+        value: The sum of its terms on `exact_rays` rays in float32.
+        exact: What it should be.
     """
 
     plugin: str
@@ -65,44 +75,41 @@ class Point:
     rays: int
 
 
-def run(folder: Path, sizes: Sizes) -> Outcome:
-    """Measure all losses on all inputs and sizes; print a table; write a CSV file and a plot."""
-    from nerfreg.bench.losses_report import draw, print_table
+def run(folder: Path, sizes: LossSizes) -> BenchOutcome:
+    """Measure all losses on all inputs and sizes, and publish the points.
 
-    points: list[Point] = []
-    left_out: list[str] = []
-    for info in installed():
-        measured = measure(info, sizes)
-        points += measured
-        if not measured and info.cls is not None and "loss" in info.hook_points:
-            left_out.append(info.name)
+    Raises:
+        NerfregError: No plugin can take part.
+    """
+    measured = {info.name: measure(info, sizes) for info in installed() if _has_loss(info)}
+    points = list(chain(*measured.values()))
     if not points:
         raise NerfregError(
             "bench losses: no installed plugin ships exact values of its loss; see `nerfreg plugins`"
         )
-    print_table(points, left_out, sizes)
-    return Outcome(
-        [write_points(folder / "losses.csv", points), *draw(points, sizes, folder / "losses")]
-    )
+    table = tabulate(points, [name for name, own in measured.items() if not own], sizes)
+    return publish_points(folder / "losses", points, table, partial(draw, points, sizes))
 
 
-def measure(info: PluginInfo, sizes: Sizes) -> list[Point]:
-    """One point for each form, input and number of samples; none if the plugin cannot take part."""
-    if info.cls is None or "loss" not in info.hook_points:
+def measure(info: PluginInfo, sizes: LossSizes) -> list[LossPoint]:
+    """Return one point for each form, input and number of samples; none if it cannot take part."""
+    if info.cls is None or not _has_loss(info):
         return []
     hooks = Hooks({info.name: info.cls(weight=1.0, start=0.0)})
-    points = []
-    for given, samples in product(INPUTS, sizes.samples):
-        measured = _measure(info.name, hooks, given, samples, sizes)
-        if not measured:
-            return []
-        points += measured
-    return points
+    cases = product(INPUTS, sizes.samples)
+    measured = [_measure(info.name, hooks, given, samples, sizes) for given, samples in cases]
+    return list(chain(*measured)) if all(measured) else []
 
 
-def _measure(name: str, hooks: Hooks, given: Input, samples: int, sizes: Sizes) -> list[Point]:
+def _has_loss(info: PluginInfo) -> bool:
+    return info.cls is not None and "loss" in info.hook_points
+
+
+def _measure(
+    name: str, hooks: Hooks, given: LossInput, samples: int, sizes: LossSizes
+) -> list[LossPoint]:
     step = Step(50, 100, 0.5, torch.Generator().manual_seed(0), (given.near, given.far))
-    few, many = given.rendering(sizes.exact_rays, samples), given.rendering(sizes.rays, samples)
+    few, many = (given.rendering(rays, samples) for rays in (sizes.exact_rays, sizes.rays))
 
     def own(rendering: Rendering) -> Float[Tensor, ""]:
         return torch.stack([term.value for term in hooks.losses(rendering, step)]).sum()
@@ -113,38 +120,77 @@ def _measure(name: str, hooks: Hooks, given: Input, samples: int, sizes: Sizes) 
             return []
     except NoRendererError:
         return []
-    rivals = [rival for rival in RIVALS.get(name, ()) if samples <= (rival.most_samples or samples)]
-    forms = {PLUGIN: own} | {rival.name: rival.loss for rival in rivals}
-    seconds = median_seconds(
-        [partial(forward_and_backward, loss, many) for loss in forms.values()], sizes.repetitions
-    )
-    truth = float(sum(exact.values()))
-    points = []
-    for (form, loss), time in zip(forms.items(), seconds, strict=True):
-        value = float(loss(few))
+    rivals = RIVALS.get(name, {}).items()
+    forms = {PLUGIN: own, **{f: v for f, v in rivals if samples <= MOST_SAMPLES.get(f, samples)}}
+    calls = [partial(forward_and_backward, loss, many) for loss in forms.values()]
+    truth, points = float(sum(exact.values())), []
+    for form, seconds in zip(forms, median_seconds(calls, sizes.repetitions), strict=True):
+        value = float(forms[form](few))
         error = abs(value - truth) / max(abs(truth), SMALLEST)
-        points.append(
-            Point(
-                plugin=name,
-                form=form,
-                input=given.name,
-                samples=samples,
-                relative_error=error,
-                milliseconds=time * 1e3,
-                value=value,
-                exact=truth,
-                exact_rays=sizes.exact_rays,
-                rays=sizes.rays,
-            )
-        )
+        result = (error, 1e3 * seconds, value, truth, sizes.exact_rays, sizes.rays)
+        points.append(LossPoint(name, form, given.name, samples, *result))
     return points
 
 
 def forward_and_backward(
     loss: Callable[[Rendering], Float[Tensor, ""]], rendering: Rendering
 ) -> tuple[Float[Tensor, ""], dict[str, Tensor | None]]:
-    """The loss, and its gradients with respect to what compositing made, by name; None for what it does not use."""
+    """Return the loss and its gradients by what compositing made; None for what it does not use."""
     leaves = {name: getattr(rendering, name).detach().requires_grad_() for name in DIFFERENTIABLE}
     value = loss(replace(rendering, **leaves))
     gradients = torch.autograd.grad(value, list(leaves.values()), allow_unused=True)
     return value.detach(), dict(zip(leaves, gradients, strict=True))
+
+
+def tabulate(points: Sequence[LossPoint], left_out: Sequence[str], sizes: LossSizes) -> Table:
+    """Return for each form its worst error on each input and its time at the most samples."""
+    caption = (
+        f"Worst relative error in float32 over {sizes.samples[0]} to {sizes.samples[-1]} samples, "
+        f"on {sizes.exact_rays} rays. Times: forward and backward on {sizes.rays} rays at the most "
+        "samples that the form was run with; "
+        f"{CONDITIONS.format(repetitions=sizes.repetitions)}."
+    )
+    if left_out:
+        missing = "Without a term of a rendering alone, or without exact values"
+        caption += f" {missing}: {', '.join(left_out)}."
+    names = [given.name for given in INPUTS]
+    rows = []
+    for plugin, form in dict.fromkeys((point.plugin, point.form) for point in points):
+        own = select(points, plugin=plugin, form=form)
+        worst = [max(p.relative_error for p in select(own, input=name)) for name in names]
+        most, time = list(_times(own).items())[-1]
+        rows.append((plugin, form, *(f"{error:.0e}" for error in worst), f"{most}", f"{time:.3g}"))
+    columns = [*text("plugin", "form"), *numbers(*names, "samples", "ms")]
+    return build_table("Losses: error by input, and run time", caption, columns, rows)
+
+
+def draw(points: Sequence[LossPoint], sizes: LossSizes, stem: Path) -> list[Path]:
+    """Draw errors, a row for each input, and run times against samples, a column for each plugin."""
+    # Those with a form to compare with come first: they are what the figure is about.
+    plugins = sorted(dict.fromkeys(p.plugin for p in points), key=lambda name: name not in RIVALS)
+    rows = [[_errors(points, name, given.name) for name in plugins] for given in INPUTS]
+    times = []
+    for name in plugins:
+        forms = _by_form(select(points, plugin=name)).items()
+        curves = {form: (list(_times(own)), list(_times(own).values())) for form, own in forms}
+        times.append(CurvePanel(curves, name, "samples per ray", "run time (ms)"))
+    title = f"Losses in float32: relative error on {len(INPUTS)} inputs, time for {sizes.rays} rays"
+    return draw_curves(stem, [*rows, times], title, (max(2.25 * len(plugins), 7.0), 11.0), 2)
+
+
+def _errors(points: Sequence[LossPoint], plugin: str, given: str) -> CurvePanel:
+    curves = {}
+    for form, own in _by_form(select(points, plugin=plugin, input=given)).items():
+        errors = [min(max(point.relative_error, LOWEST), HIGHEST) for point in own]
+        curves[form] = ([point.samples for point in own], errors)
+    return CurvePanel(curves, plugin, ylabel=f"{given}\nrelative error")
+
+
+def _by_form(points: Sequence[LossPoint]) -> dict[str, list[LossPoint]]:
+    return {form: select(points, form=form) for form in dict.fromkeys(p.form for p in points)}
+
+
+def _times(points: Sequence[LossPoint]) -> dict[int, float]:
+    """Return milliseconds by samples: the median over the inputs, which make no difference."""
+    counts = sorted({point.samples for point in points})
+    return {n: median(p.milliseconds for p in select(points, samples=n)) for n in counts}

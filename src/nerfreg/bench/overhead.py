@@ -1,58 +1,78 @@
-"""`nerfreg bench overhead`: what each regularizer and each preset makes of the time of a step, against vanilla.
+"""`nerfreg bench overhead`: the time of a step with each regularizer and preset, against vanilla.
 
-Every variant is a short run of its own, from the same weights and the same seed. They take turns step by step, vanilla
-among them, so that whatever else the machine does falls on all alike, and move together from share to share of the
-budget, because windows and masks follow it.
+Every variant is a short run of its own, from the same weights and the same seed. They take turns
+step by step, vanilla among them, so that whatever else the machine does slows all of them down
+alike, and move together from share to share of the budget, because windows and masks follow it.
 """
 
 from __future__ import annotations
 
-import gc
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 from functools import partial
 from pathlib import Path
-from statistics import median
+from statistics import mean, median
 
 import torch
-from rich.console import Console
+from rich.table import Table
 from torch import Tensor, nn
 
-from nerfreg.analysis.tables import Outcome, write_points
-from nerfreg.bench.configured import TINY, compose, make_trainer, prepare_cpu, step_at
-from nerfreg.bench.timing import in_turns, spread
+from nerfreg.analysis.figures import GUIDE, PALETTE, panels, save
+from nerfreg.analysis.tables import build_table, numbers, select, text
+from nerfreg.bench.configured import (
+    TINY,
+    StepSizes,
+    TimedSteps,
+    compose,
+    make_trainer,
+    set_up,
+    time_steps,
+)
+from nerfreg.bench.outcome import BenchOutcome, announced, publish_points
+from nerfreg.bench.timing import spread
+from nerfreg.config.schema import Config
 from nerfreg.config.search_path import options
 from nerfreg.errors import NerfregError, nearest
 from nerfreg.field.layers import Linear
+from nerfreg.field.workers import threads
 from nerfreg.hooks import Needs, Rays, Rendering, Samples, Step
 from nerfreg.registry import Hooks, Term, installed
-from nerfreg.scenes import load_scene
 from nerfreg.scenes.scene import Scene
-from nerfreg.training.memory import keep_large_blocks
 from nerfreg.training.trainer import Trainer
 
 VANILLA = "vanilla"
 NO_MANAGER = "no plugin manager"
 CORE, PLUGIN, PRESET = "core", "plugin", "preset"
+COLORS = {CORE: PALETTE[2], PLUGIN: PALETTE[0], PRESET: PALETTE[4]}
 
 
-@dataclass(frozen=True)
-class Sizes:
-    """shares: of the budget, ascending. steps: timed at each share. settling: steps after moving to a share that are
-    not timed. warmup: steps before the first. together: variants that are in memory at the same time, beside vanilla.
-    only: names of variants; empty: all. defaults: overrides that the command line may override."""
+LIMITS: dict[str, tuple[float, float]] = {
+    NO_MANAGER: (0.98, 1.02),
+    "combinerf": (0.0, 1.15),
+    "lipschitz": (0.0, 1.05),
+    "encoding_mask": (0.0, 0.85),
+    "annealing": (0.0, 1.0),
+    "adversarial": (0.0, 2.3),
+    **dict.fromkeys(("distortion", "full_geometry", "depth_smoothness", "entropy"), (0.0, 1.03)),
+}
+"""The least and the most that a variant's ratio to vanilla may be; the others have no limit."""
+SETTLING = 5
+"""Steps after moving to another share that are not timed."""
+TOGETHER = 4
+"""Variants that are in memory at the same time, beside vanilla."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class OverheadSizes(StepSizes):
+    """shares: of the budget, at each of which the steps are timed. only: names of variants, or all
+    if there are none. The warm-up comes before the first share."""
 
     shares: tuple[float, ...]
-    steps: int
-    settling: int
-    warmup: int
-    together: int
     only: tuple[str, ...] = ()
-    defaults: tuple[str, ...] = ()
 
 
-FULL = Sizes((0.05, 0.25, 0.5, 0.75, 0.95), steps=20, settling=5, warmup=60, together=4)
-QUICK = Sizes((0.05, 0.5), steps=2, settling=1, warmup=1, together=3, defaults=TINY)
+FULL = OverheadSizes(shares=(0.05, 0.25, 0.5, 0.75, 0.95), steps=20, warmup=60)
+QUICK = OverheadSizes(shares=(0.05, 0.5), steps=2, warmup=1, defaults=TINY)
 
 
 class WithoutManager(Hooks):
@@ -78,25 +98,25 @@ class WithoutManager(Hooks):
 
 @dataclass(frozen=True)
 class Variant:
-    """name: of a plugin or preset. kind: "plugin", "preset" or "core". choice: the override that selects it."""
+    """A plugin, a preset, or the core: its name, which of them it is, and overrides that select it."""
 
     name: str
     kind: str
     choice: tuple[str, ...] = ()
 
     def trainer(self, overrides: Sequence[str], scene: Scene) -> Trainer:
+        """Return a trainer of the variant on a scene that is loaded already."""
         config = compose((*overrides, f"scene.layout={scene.layout}", *self.choice))
-        return make_trainer(
-            config, scene, WithoutManager() if self.name == NO_MANAGER else Hooks(config.reg)
-        )
+        hooks = WithoutManager() if self.name == NO_MANAGER else Hooks(config.reg)
+        return make_trainer(config, scene, hooks)
 
 
 @dataclass(frozen=True)
-class Point:
+class OverheadPoint:
     """One variant at one share of the budget.
 
-    milliseconds, vanilla_milliseconds: medians. ratio: the median over all rounds of the variant's time to that of
-    vanilla in the same round, with quantiles of 10 and 90 %. points, vanilla_points: evaluations of the density a step.
+    The ratio is the median over all rounds of the variant's time to that of vanilla in the same
+    round. Points are evaluations of the density a step.
     """
 
     variant: str
@@ -112,75 +132,60 @@ class Point:
     vanilla_points: float
 
 
-def run(folder: Path, sizes: Sizes, overrides: tuple[str, ...]) -> Outcome:
-    """Measure all variants, or those of `sizes.only`; print a table; write a CSV file and a plot."""
-    from nerfreg.bench.overhead_report import draw, print_table, summarize
+def run(folder: Path, sizes: OverheadSizes, overrides: tuple[str, ...]) -> BenchOutcome:
+    """Measure all variants, or those of `sizes.only`, and publish the points.
 
+    Raises:
+        NerfregError: The overrides choose plugins, or `sizes.only` names none.
+    """
     if chosen := next((word for word in overrides if word.lstrip("+~").startswith("reg=")), None):
         raise NerfregError(
             f"{chosen}: bench overhead selects plugins itself; write --only NAME,NAME for some of them"
         )
-    keep_large_blocks()
-    config = compose((*sizes.defaults, *overrides))
-    prepare_cpu(config)
-    variants = choose(sizes.only)
-    scene = load_scene(config.scene)
-    points: list[Point] = []
-    with Console(stderr=True).status("") as status:
-        for first in range(0, len(variants), sizes.together):
-            group = variants[first : first + sizes.together]
-            status.update(
-                f"{', '.join(variant.name for variant in group)} ({first} of {len(variants)} done)"
-            )
-            points += measure(group, (*sizes.defaults, *overrides), scene, sizes)
-            gc.collect()
+    variants, overrides = choose(sizes.only), (*sizes.defaults, *overrides)
+    config, scene = set_up(overrides)
+    groups = [variants[i : i + TOGETHER] for i in range(0, len(variants), TOGETHER)]
+    points = [
+        point
+        for group in announced(groups, lambda group: ", ".join(v.name for v in group))
+        for point in measure(group, overrides, scene, sizes)
+    ]
     summary = summarize(points)
-    print_table(summary, config, scene.name, sizes)
-    return Outcome(
-        [write_points(folder / "overhead.csv", points), *draw(summary, folder / "overhead")]
-    )
+    table = tabulate(summary, config, scene.name, sizes)
+    return publish_points(folder / "overhead", points, table, partial(draw, summary))
 
 
 def choose(only: Sequence[str]) -> list[Variant]:
-    """All variants, or those that are named. Raises NerfregError for names that are none."""
+    """Return all variants, or those that are named.
+
+    Raises:
+        NerfregError: A name is that of no variant.
+    """
     plugins = installed()
-    names = [plugin.name for plugin in plugins if plugin.cls is not None]
-    presets = [
-        name
-        for name in options("reg", plugins)
-        if name not in {*(p.name for p in plugins), VANILLA}
-    ]
-    variants = [
-        Variant(NO_MANAGER, CORE),
-        *(Variant(name, PLUGIN, (f"+reg={name}",)) for name in names),
-        *(Variant(name, PRESET, (f"+reg={name}",)) for name in presets),
-    ]
-    known = [variant.name for variant in variants]
-    for name in only:
-        if name not in known:
-            raise NerfregError(
-                f"--only {name}: no installed plugin or preset; {nearest(name, known)}"
-            )
-    return [variant for variant in variants if not only or variant.name in only]
+    kinds = {plugin.name: PLUGIN for plugin in plugins if plugin.cls is not None}
+    taken = {VANILLA, *(plugin.name for plugin in plugins)}
+    kinds |= {name: PRESET for name in options("reg", plugins) if name not in taken}
+    known = {NO_MANAGER: Variant(NO_MANAGER, CORE)}
+    known |= {name: Variant(name, kind, (f"+reg={name}",)) for name, kind in kinds.items()}
+    if unknown := [name for name in only if name not in known]:
+        raise NerfregError(
+            f"--only {unknown[0]}: no installed plugin or preset; {nearest(unknown[0], known)}"
+        )
+    return [variant for name, variant in known.items() if not only or name in only]
 
 
 def measure(
-    group: Sequence[Variant], overrides: Sequence[str], scene: Scene, sizes: Sizes
-) -> Iterator[Point]:
-    """One point for each variant of the group and each share."""
+    group: Sequence[Variant], overrides: Sequence[str], scene: Scene, sizes: OverheadSizes
+) -> Iterator[OverheadPoint]:
+    """Yield one point for each variant of the group and each share."""
     trainers = [variant.trainer(overrides, scene) for variant in (Variant(VANILLA, CORE), *group)]
     for trainer in trainers[1:]:
         start_alike(trainer, trainers[0])
     for share in sizes.shares:
-        calls = [partial(step_at, trainer, share) for trainer in trainers]
-        in_turns(calls, sizes.warmup if share == sizes.shares[0] else sizes.settling)
-        before = [trainer.renderer.points for trainer in trainers]
-        seconds = in_turns(calls, sizes.steps)
-        points = [
-            (t.renderer.points - b) / sizes.steps for t, b in zip(trainers, before, strict=True)
-        ]
-        for i, variant in enumerate(group, 1):
-            yield compare(variant, share, (seconds[i], points[i]), (seconds[0], points[0]))
+        warmup = sizes.warmup if share == sizes.shares[0] else SETTLING
+        vanilla, *timed = time_steps(trainers, share, warmup, sizes.steps)
+        for variant, own in zip(group, timed, strict=True):
+            yield compare(variant, share, own, vanilla)
 
 
 @torch.no_grad()
@@ -192,24 +197,70 @@ def start_alike(trainer: Trainer, other: Trainer) -> None:
             parameter.copy_(theirs[name])
 
 
-def compare(
-    variant: Variant,
-    share: float,
-    own: tuple[Sequence[float], float],
-    vanilla: tuple[Sequence[float], float],
-) -> Point:
-    """own, vanilla: seconds of each round, and points a step."""
-    ratio = spread([a / b for a, b in zip(own[0], vanilla[0], strict=True)])
-    return Point(
-        variant=variant.name,
-        kind=variant.kind,
-        share=share,
-        milliseconds=1e3 * median(own[0]),
-        vanilla_milliseconds=1e3 * median(vanilla[0]),
-        ratio=ratio.median,
-        ratio_p10=ratio.p10,
-        ratio_p90=ratio.p90,
-        rounds=len(own[0]),
-        points=own[1],
-        vanilla_points=vanilla[1],
+def compare(variant: Variant, share: float, own: TimedSteps, vanilla: TimedSteps) -> OverheadPoint:
+    """Return the point of a variant's steps and those of vanilla in the same rounds."""
+    ratio = spread([a / b for a, b in zip(own.seconds, vanilla.seconds, strict=True)])
+    times = (1e3 * median(own.seconds), 1e3 * median(vanilla.seconds))
+    ratios = (ratio.median, ratio.p10, ratio.p90)
+    counts = (len(own.seconds), own.points, vanilla.points)
+    return OverheadPoint(variant.name, variant.kind, share, *times, *ratios, *counts)
+
+
+def summarize(points: Sequence[OverheadPoint]) -> list[OverheadPoint]:
+    """Return one point for each variant, its numbers the means over all shares."""
+    summary = []
+    for name in dict.fromkeys(point.variant for point in points):
+        own = [astuple(point) for point in select(points, variant=name)]
+        means = map(mean, zip(*(values[2:] for values in own), strict=True))
+        summary.append(OverheadPoint(*own[0][:2], *means))
+    return summary
+
+
+def tabulate(
+    summary: Sequence[OverheadPoint], config: Config, scene: str, sizes: OverheadSizes
+) -> Table:
+    """Return ratio, spread, points and limit of every variant."""
+    rows = []
+    for line in summary:
+        span, points = (
+            f"{line.ratio_p10:.2f}-{line.ratio_p90:.2f}",
+            line.points / line.vanilla_points,
+        )
+        limit = verdict(line.ratio, *LIMITS[line.variant]) if line.variant in LIMITS else ("", "")
+        rows.append((line.variant, f"{line.ratio:.3f}", span, f"{points:.2f}", *limit))
+    shares = ", ".join(f"{100 * share:g}" for share in sizes.shares)
+    return build_table(
+        f"Time of a training step against vanilla: {scene}, {config.train.rays} rays x "
+        f"({config.sampler.coarse} + {config.sampler.fine}) samples",
+        f"Median over {sizes.steps} alternating steps of the ratio to vanilla's step in the same "
+        f"round, and its 10 and 90 % quantiles, averaged over {shares} % of the budget. points: "
+        f"density evaluations, against vanilla's. Threads: {threads()}.",
+        [*text("variant"), *numbers("ratio", "10-90 %", "points", "limit", "")],
+        rows,
     )
+
+
+def verdict(ratio: float, least: float, most: float) -> tuple[str, str]:
+    """Return a limit, which has two digits, and whether the ratio misses it in these digits."""
+    limit = f"{least:.2f}-{most:.2f}" if least else f"{most:.2f}"
+    return limit, "" if least <= round(ratio, 2) <= most else "missed"
+
+
+def draw(summary: Sequence[OverheadPoint], stem: Path) -> list[Path]:
+    """Draw a bar for each variant, its spread as a line and its limits as marks."""
+    with panels(1, 1, 8.0, 1.6 + 0.3 * len(summary)) as (figure, [[panel]]):
+        panel.set(xscale="linear", yscale="linear")
+        for row, line in enumerate(summary):
+            panel.barh(row, line.ratio, height=0.62, color=COLORS[line.kind], alpha=0.85)
+            panel.plot((line.ratio_p10, line.ratio_p90), (row, row), color="black", linewidth=1.2)
+            ends = [end for end in LIMITS.get(line.variant, ()) if end]
+            panel.vlines(ends, row - 0.42, row + 0.42, color=PALETTE[1], linewidth=2.2, zorder=3)
+        panel.axvline(1, color=GUIDE, linestyle="--", linewidth=1.1)
+        panel.set_yticks(range(len(summary)), [line.variant for line in summary])
+        panel.set_ylim(len(summary) - 0.4, -0.6)
+        panel.set_xlim(0, 1.05 * max(1.1, *(max(line.ratio_p90, line.ratio) for line in summary)))
+        panel.set_xlabel("time of a step, vanilla = 1 (line: 10 to 90 %; red: limit)")
+        figure.suptitle(
+            "What each regularizer and each preset makes of a training step", fontsize=11.5
+        )
+        return save(figure, stem)

@@ -1,6 +1,7 @@
 """`nerfreg bench quadrature`: how well a ray is rendered, against the time it takes.
 
-Densities with known opacity, depth and colour are sampled as nerfreg's renderers sample them, and composited.
+Densities with known opacity, depth and colour are sampled as nerfreg's renderers sample them, and
+composited.
 """
 
 from __future__ import annotations
@@ -8,25 +9,45 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import partial
+from itertools import product
 from pathlib import Path
 
 import numpy as np
 import torch
 from jaxtyping import Float
+from rich.table import Table
 from torch import Tensor
 
-from nerfreg.analysis.tables import Outcome, write_points
+from nerfreg.analysis.curves import Curve, CurvePanel, draw_curves
+from nerfreg.analysis.tables import build_table, numbers, select, text
 from nerfreg.bench.media import MEDIA, Medium, color, exact
-from nerfreg.bench.samplers import SAMPLERS, Bundle, Sampled
-from nerfreg.bench.timing import median_seconds
+from nerfreg.bench.outcome import BenchOutcome, publish_points
+from nerfreg.bench.samplers import CELLS, SAMPLERS, Bundle, Sampled
+from nerfreg.bench.timing import CONDITIONS, median_seconds
 from nerfreg.rendering.compositing import composite
 
 GOLDEN_RATIO = (1 + 5**0.5) / 2
 QUANTITIES = ("opacity", "depth", "color")
+LABELS = {
+    "uniform": "uniform, midpoints",
+    "uniform_jittered": "uniform, jittered",
+    "importance": "importance, 1/3 coarse + 2/3 fine",
+    "skipping": f"uniform, skipping empty ones of {CELLS} cells",
+}
+PLOTTED = {
+    medium.name: medium.title
+    for medium in MEDIA
+    if medium.name not in ("slab", "shell_1e2", "shell_1e4")
+}
+GOAL = 0.01
+"""The colour error for which the table gives the number of samples and the time."""
+FEWEST, RESOLVED = 64, 1024
+"""Samples from which on the order is fitted; in stiff media every ray must have one in a shell."""
+LOWEST = 1e-8
 
 
 @dataclass(frozen=True)
-class Sizes:
+class QuadratureSizes:
     """samples: per ray, ascending. rays: at once. repetitions: of each measurement of time."""
 
     samples: tuple[int, ...]
@@ -34,16 +55,17 @@ class Sizes:
     repetitions: int
 
 
-FULL = Sizes(tuple(2**k for k in range(3, 13)), rays=256, repetitions=7)
-QUICK = Sizes((8, 64, 512), rays=16, repetitions=1)
+FULL = QuadratureSizes(tuple(2**k for k in range(3, 13)), rays=256, repetitions=7)
+QUICK = QuadratureSizes((8, 64, 512), rays=16, repetitions=1)
 
 
 @dataclass(frozen=True)
-class Point:
-    """One medium sampled in one way. Errors are means over rays, with their 10 and 90 % quantiles.
+class RayErrors:
+    """One medium sampled in one way.
 
-    samples, evaluations: per ray, the latter of the density. microseconds: per ray, for sampling, density, colour and
-    compositing. The errors of opacity and colour are relative to the exact value, that of depth to the ray's length.
+    The errors of opacity and colour are relative to the exact value, that of depth to the length
+    of the ray; they are means over rays, with their 10 and 90 % quantiles. Evaluations, of the
+    density, and microseconds, for sampling, density, colour and compositing, are per ray.
     """
 
     medium: str
@@ -63,57 +85,46 @@ class Point:
     color_error_p90: float
 
     def error(self, quantity: str) -> float:
-        """The mean error of "opacity", "depth" or "color"."""
+        """Return the mean error of one of `QUANTITIES`."""
         value: float = getattr(self, f"{quantity}_error")
         return value
 
 
-def run(folder: Path, sizes: Sizes) -> Outcome:
-    """Measure all media, samplers, sizes and precisions; print a table; write a CSV file and a plot."""
-    from nerfreg.bench.quadrature_report import draw, print_table
-
-    dtypes = (torch.float32, torch.float64)
+def run(folder: Path, sizes: QuadratureSizes) -> BenchOutcome:
+    """Measure all media, samplers, numbers of samples and precisions, and publish them."""
     points = [
-        point for medium in MEDIA for dtype in dtypes for point in measure(medium, dtype, sizes)
+        point
+        for medium, dtype in product(MEDIA, (torch.float32, torch.float64))
+        for point in measure(medium, dtype, sizes)
     ]
-    print_table(points, sizes)
-    return Outcome(
-        [
-            write_points(folder / "quadrature.csv", points),
-            *draw(points, sizes, folder / "quadrature"),
-        ]
+    return publish_points(
+        folder / "quadrature", points, tabulate(points, sizes), partial(draw, points, sizes)
     )
 
 
-def measure(medium: Medium, dtype: torch.dtype, sizes: Sizes) -> list[Point]:
-    """One point for each sampler and number of samples."""
-    # Multiples of the golden ratio are spread evenly over the slack, and over each of any number of equal parts of it.
+def measure(medium: Medium, dtype: torch.dtype, sizes: QuadratureSizes) -> list[RayErrors]:
+    """Return one point for each sampler and number of samples."""
+    # Multiples of the golden ratio are spread evenly over the slack, and over each of any number of
+    # equal parts of it.
     shift = medium.slack * (torch.arange(sizes.rays, dtype=dtype) * GOLDEN_RATIO % 1)
     rays = Bundle(medium, -shift, 1 - shift, torch.Generator().manual_seed(0))
     name = str(dtype).removeprefix("torch.")
     points = []
     for count in sizes.samples:
-        seconds = median_seconds(
-            [partial(render, rays, sampler, count) for sampler in SAMPLERS], sizes.repetitions
-        )
-        for sampler, time in zip(SAMPLERS, seconds, strict=True):
-            sampled, *values = render(rays, sampler, count)
-            spread = [
-                number
-                for error in _errors(medium, *values)
-                for number in _mean_and_quantiles(error)
-            ]
-            microseconds = time / sizes.rays * 1e6
-            points.append(
-                Point(medium.name, sampler, name, count, sampled.evaluations, microseconds, *spread)
-            )
+        calls = [partial(render, rays, sampler, count) for sampler in SAMPLERS]
+        seconds = median_seconds(calls, sizes.repetitions)
+        for sampler, call, time in zip(SAMPLERS, calls, seconds, strict=True):
+            sampled, *values = call()
+            spread = [n for error in _errors(medium, *values) for n in _mean_and_quantiles(error)]
+            cost = (sampled.evaluations, time / sizes.rays * 1e6)
+            points.append(RayErrors(medium.name, sampler, name, count, *cost, *spread))
     return points
 
 
 def render(
     rays: Bundle, sampler: str, count: int
 ) -> tuple[Sampled, Float[Tensor, " rays"], Float[Tensor, " rays"], Float[Tensor, "rays 3"]]:
-    """The samples of each ray, and the opacity, depth and colour that are composited from them."""
+    """Return the samples of each ray, and the opacity, depth and colour composited from them."""
     sampled = SAMPLERS[sampler](rays, count)
     result = composite(sampled.density, color(sampled.t), sampled.t_edges)
     assert result.rgb is not None
@@ -121,31 +132,66 @@ def render(
 
 
 def fitted_order(
-    points: Iterable[Point], quantity: str, fewest: int = 64, floor: float = 1e-12
+    points: Iterable[RayErrors], quantity: str, fewest: int = FEWEST, floor: float = 1e-12
 ) -> float | None:
-    """p in error ~ samples^-p, by least squares over the points with enough samples and an error above rounding.
+    """Return p in error ~ samples^-p, by least squares of logarithms.
 
-    None where fewer than 3 points are left.
+    Points with fewer samples than `fewest`, and those whose error is rounding (at most `floor`),
+    do not count. None where fewer than 3 points are left.
     """
-    fitted = [
-        (p.samples, p.error(quantity))
-        for p in points
-        if p.samples >= fewest and p.error(quantity) > floor
-    ]
-    if len(fitted) < 3:
-        return None
-    samples, errors = np.log(np.array(fitted)).T
-    return float(-np.polyfit(samples, errors, 1)[0])
+    errors = [(p.samples, p.error(quantity)) for p in points if p.samples >= fewest]
+    fitted = [(samples, error) for samples, error in errors if error > floor]
+    return None if len(fitted) < 3 else float(-np.polyfit(*np.log(np.array(fitted)).T, 1)[0])
 
 
-def first_below(points: Sequence[Point], quantity: str, error: float) -> Point | None:
-    """The point of fewest samples from which on the error stays below a bound."""
+def first_below(points: Sequence[RayErrors], quantity: str, error: float) -> RayErrors | None:
+    """Return the point of fewest samples from which on the error stays below a bound."""
     good = None
     for point in sorted(points, key=lambda point: -point.samples):
         if point.error(quantity) >= error:
             break
         good = point
     return good
+
+
+def tabulate(points: Sequence[RayErrors], sizes: QuadratureSizes) -> Table:
+    """Return the orders of convergence in float64 and the work for a small error in float32."""
+    return build_table(
+        "Rendering one ray: orders of convergence; samples (µs) for 1 % colour error",
+        f"Orders: uniform midpoints in float64, {sizes.samples[-1]} samples down to {FEWEST} "
+        f"(stiff: {RESOLVED}). Samples: per ray in float32, from which on the error stays below. "
+        f"Times: {sizes.rays} rays at once; {CONDITIONS.format(repetitions=sizes.repetitions)}.",
+        [*text("medium"), *numbers(*QUANTITIES, *(name.replace("_", "\n") for name in SAMPLERS))],
+        [_row(medium, select(points, medium=medium.name)) for medium in MEDIA],
+    )
+
+
+def draw(points: Sequence[RayErrors], sizes: QuadratureSizes, stem: Path) -> list[Path]:
+    """Draw errors in float32 against run time, and that of colour against evaluations as well."""
+    shown, rows = select(points, dtype="float32"), []
+    for quantity, cost in [*product(QUANTITIES, ["microseconds"]), ("color", "evaluations")]:
+        unit = "ray lengths" if quantity == "depth" else "relative"
+        label = f"{quantity.replace('color', 'colour')} error ({unit})"
+        row = []
+        for name, title in PLOTTED.items():
+            curves = {
+                text: _curve(select(shown, medium=name, sampler=sampler), quantity, cost)
+                for sampler, text in LABELS.items()
+            }
+            row.append(CurvePanel(curves, title, f"{cost} per ray", label))
+        rows.append(row)
+    title = (
+        "Rendering one ray in float32: error against run time, and (lowest row) against "
+        f"evaluations of the density\n{sizes.samples[0]} to {sizes.samples[-1]} samples per ray; "
+        "errors below $10^{-8}$ are drawn there"
+    )
+    return draw_curves(stem, rows, title, (13.5, 10.2))
+
+
+def _curve(points: Sequence[RayErrors], quantity: str, cost: str) -> Curve:
+    shown = [point for point in points if getattr(point, cost) > 0]
+    errors = [max(point.error(quantity), LOWEST) for point in shown]
+    return [getattr(point, cost) for point in shown], errors
 
 
 def _errors(
@@ -166,3 +212,16 @@ def _errors(
 def _mean_and_quantiles(error: Float[Tensor, " rays"]) -> list[float]:
     low, high = error.quantile(error.new_tensor([0.1, 0.9])).tolist()
     return [error.mean().item(), low, high]
+
+
+def _row(medium: Medium, points: Sequence[RayErrors]) -> list[str]:
+    fewest, row = RESOLVED if medium.slack else FEWEST, [medium.name]
+    for quantity in QUANTITIES:
+        own = select(points, sampler="uniform", dtype="float64")
+        order = fitted_order(own, quantity, fewest)
+        row.append("-" if order is None else f"{order:.2f}")
+    for sampler in SAMPLERS:
+        point = first_below(select(points, sampler=sampler, dtype="float32"), "color", GOAL)
+        digits = 0 if point and point.microseconds >= 10 else 1
+        row.append(f"{point.samples} ({point.microseconds:.{digits}f})" if point else "never")
+    return row

@@ -1,4 +1,4 @@
-"""Where a ray through a medium is sampled: the choices of nerfreg's renderers, on a density known in closed form."""
+"""Where a ray through a medium is sampled: the choices of the renderers, on a known density."""
 
 from __future__ import annotations
 
@@ -18,14 +18,19 @@ from nerfreg.rendering.sampling import edges_between, importance, merge, stratif
 
 CELLS = SamplerConfig().skip_resolution
 LOOKS = 9
-"""A medium that varies along the ray alone is looked at once in each of the 3 x 3 cells across that count as one."""
+"""Random points in each cell: the grid of a scene looks once into each of the 3 x 3 cells beside
+each other that count as one, and a medium is the same in all of them."""
 
 
 @dataclass(frozen=True)
 class Bundle:
-    """Rays through one medium; each has its own ends, its own chance and its own occupancy grid.
+    """Rays through one medium, each with an occupancy grid of its own.
 
-    near, far: (R,). generator: the source of chance, on the CPU.
+    Attributes:
+        medium: What the rays pass through.
+        near: First ends (R,).
+        far: Last ends (R,).
+        generator: The source of randomness, on the CPU.
     """
 
     medium: Medium
@@ -45,10 +50,21 @@ class Bundle:
         left[:, 1:], right[:, :-1] = found[:, :-1], found[:, 1:]
         return left | found | right
 
+    def sampled(self, t: Tensor, density: Tensor, evaluations: float) -> Sampled:
+        """Return samples with the intervals that belong to them."""
+        return Sampled(t, edges_between(t, self.near, self.far), density, evaluations)
+
 
 @dataclass(frozen=True)
 class Sampled:
-    """t, density: (R, N). t_edges: (R, N+1). evaluations: of the density, on an average ray."""
+    """Samples of rays.
+
+    Attributes:
+        t: Ascending distances (R, N).
+        t_edges: Borders of their intervals (R, N+1).
+        density: At t (R, N).
+        evaluations: How often the density was evaluated, on an average ray.
+    """
 
     t: Float[Tensor, "rays samples"]
     t_edges: Float[Tensor, "rays edges"]
@@ -57,42 +73,37 @@ class Sampled:
 
 
 def uniform(bundle: Bundle, count: int) -> Sampled:
-    """The midpoints of equal parts."""
-    return _evaluated(bundle, stratified(bundle.near, bundle.far, count))
+    """Sample the midpoints of equal parts."""
+    t = stratified(bundle.near, bundle.far, count)
+    return bundle.sampled(t, bundle.medium.density(t), count)
 
 
 def jittered(bundle: Bundle, count: int) -> Sampled:
-    """Anywhere in equal parts, as in training."""
-    return _evaluated(
-        bundle, stratified(bundle.near, bundle.far, count, generator=bundle.generator)
-    )
+    """Sample anywhere in equal parts, as in training."""
+    t = stratified(bundle.near, bundle.far, count, generator=bundle.generator)
+    return bundle.sampled(t, bundle.medium.density(t), count)
 
 
 def by_importance(bundle: Bundle, count: int) -> Sampled:
-    """A third in the middle of equal parts, the rest where their weights are, all of them composited."""
+    """Sample a third at midpoints and the rest by their weights; composite all of them."""
     coarse = stratified(bundle.near, bundle.far, max(count // 3, 1))
     first = bundle.medium.density(coarse)
     edges = edges_between(coarse, bundle.near, bundle.far)
     fine = importance(edges, integrate(first, edges).weights, count - coarse.shape[1])
     t, order = merge(coarse, fine)
     density = torch.cat([first, bundle.medium.density(fine)], dim=1).gather(1, order)
-    return Sampled(t, edges_between(t, bundle.near, bundle.far), density, float(count))
+    return bundle.sampled(t, density, count)
 
 
 def skipping(bundle: Bundle, count: int) -> Sampled:
-    """The midpoints of equal parts, but the density is evaluated in occupied cells alone and 0 elsewhere."""
+    """Sample midpoints, but evaluate the density in occupied cells alone; it is 0 elsewhere."""
     t = stratified(bundle.near, bundle.far, count)
     share = (t - bundle.near[:, None]) / (bundle.far - bundle.near)[:, None]
     cells = (share * CELLS).long().clamp_(0, CELLS - 1)
     seen = bundle.occupied.gather(1, cells).view(-1).nonzero().squeeze(1)
     density = torch.zeros_like(t)
     density.view(-1)[seen] = bundle.medium.density(t.view(-1)[seen])
-    return Sampled(t, edges_between(t, bundle.near, bundle.far), density, len(seen) / len(t))
-
-
-def _evaluated(bundle: Bundle, t: Float[Tensor, "rays samples"]) -> Sampled:
-    edges = edges_between(t, bundle.near, bundle.far)
-    return Sampled(t, edges, bundle.medium.density(t), float(t.shape[1]))
+    return bundle.sampled(t, density, len(seen) / len(t))
 
 
 SAMPLERS: dict[str, Callable[[Bundle, int], Sampled]] = {

@@ -1,27 +1,24 @@
-"""`nerfreg bench scaling`: the time of a step against rays, samples, levels and table size, one at a time."""
+"""`nerfreg bench scaling`: the time of a step against its sizes, one at a time."""
 
 from __future__ import annotations
 
-import gc
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import NamedTuple
 
 import numpy as np
-from rich.console import Console
+from rich.table import Table
 
-from nerfreg.analysis.figures import PALETTE, panels, save
-from nerfreg.analysis.tables import Outcome, new_table, write_points
-from nerfreg.bench.configured import TINY, compose, make_trainer, prepare_cpu, step_at
-from nerfreg.bench.timing import in_turns, spread
+from nerfreg.analysis.curves import CurvePanel, draw_curves
+from nerfreg.analysis.tables import build_table, numbers, select, text
+from nerfreg.bench.configured import TINY, StepSizes, make_trainer, set_up, time_steps
+from nerfreg.bench.outcome import BenchOutcome, announced, publish_points
+from nerfreg.bench.timing import spread
 from nerfreg.config.schema import Config
 from nerfreg.field.workers import threads
-from nerfreg.scenes import load_scene
-from nerfreg.training.memory import keep_large_blocks
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
+from nerfreg.scenes.scene import Scene
 
 AT = 0.5
 """Share of the budget at which the steps are taken."""
@@ -33,34 +30,27 @@ LABELS = {
 }
 
 
-@dataclass(frozen=True)
-class Sizes:
-    """What each sweep goes through; everything else stays as it is configured. log2_entries: of the table.
-    steps: timed for each point. warmup: steps before them. defaults: overrides that the command line may override."""
+@dataclass(frozen=True, kw_only=True)
+class ScalingSizes(StepSizes):
+    """values: what each of `LABELS` goes through, while everything else stays as configured."""
 
-    rays: tuple[int, ...]
-    samples: tuple[int, ...]
-    levels: tuple[int, ...]
-    log2_entries: tuple[int, ...]
-    steps: int
-    warmup: int
-    defaults: tuple[str, ...] = ()
+    values: Mapping[str, Sequence[int]]
 
 
-FULL = Sizes(
-    (256, 512, 1024, 2048, 4096),
-    (16, 32, 64, 128, 256),
-    (2, 4, 8, 16, 32),
-    (13, 15, 17, 19, 21),
-    15,
-    5,
-)
-QUICK = Sizes((32, 64), (8, 16), (2, 4), (8, 10), steps=2, warmup=1, defaults=TINY)
+FULL_VALUES = {
+    "rays": (256, 512, 1024, 2048, 4096),
+    "samples": (16, 32, 64, 128, 256),
+    "levels": (2, 4, 8, 16, 32),
+    "entries": (2**13, 2**15, 2**17, 2**19, 2**21),
+}
+QUICK_VALUES = {"rays": (32, 64), "samples": (8, 16), "levels": (2, 4), "entries": (256, 1024)}
+FULL = ScalingSizes(values=FULL_VALUES, steps=15, warmup=5)
+QUICK = ScalingSizes(values=QUICK_VALUES, steps=2, warmup=1, defaults=TINY)
 
 
 @dataclass(frozen=True)
-class Point:
-    """swept: "rays", "samples", "levels" or "entries"; value: how many. Milliseconds of a step: median, quantiles."""
+class ScalingPoint:
+    """One value of one size: milliseconds of a step, and evaluations of the density in it."""
 
     swept: str
     value: int
@@ -70,10 +60,9 @@ class Point:
     points: float
 
 
-@dataclass(frozen=True)
-class Fit:
-    """slope: p in time ~ value^p. fixed, each: of the straight line time = fixed + each * value, in milliseconds.
-    off: the largest relative error of that line. Both by least squares of relative errors."""
+class ScalingFit(NamedTuple):
+    """slope: p in time ~ value^p. fixed, each: of the line time = fixed + each * value, in ms.
+    off: the largest relative error of that line. Both are fitted to relative errors."""
 
     slope: float
     fixed: float
@@ -81,120 +70,83 @@ class Fit:
     off: float
 
 
-def run(folder: Path, sizes: Sizes, overrides: tuple[str, ...]) -> Outcome:
-    """Measure all sweeps; print a table; write a CSV file and a plot."""
-    keep_large_blocks()
-    config = compose((*sizes.defaults, *overrides))
-    prepare_cpu(config)
-    points = measure(config, sizes)
-    print_table(points, config, sizes)
-    return Outcome(
-        [write_points(folder / "scaling.csv", points), *draw(points, folder / "scaling")]
-    )
-
-
-def measure(config: Config, sizes: Sizes) -> list[Point]:
-    """One point for each value of each sweep."""
-    scene = load_scene(config.scene)
-    points = []
-    with Console(stderr=True).status("") as status:
-        for swept, value, changed in sweeps(config, sizes):
-            status.update(f"{value} {LABELS[swept]}")
-            trainer = make_trainer(changed, scene)
-            for _ in range(sizes.warmup):
-                step_at(trainer, AT)
-            before = trainer.renderer.points
-            seconds = in_turns([lambda trainer=trainer: step_at(trainer, AT)], sizes.steps)[0]  # type: ignore[misc]
-            time = spread([1e3 * second for second in seconds])
-            evaluated = (trainer.renderer.points - before) / sizes.steps
-            points.append(Point(swept, value, time.median, time.p10, time.p90, evaluated))
-            del trainer
-            gc.collect()
-    return points
-
-
-def sweeps(config: Config, sizes: Sizes) -> list[tuple[str, int, Config]]:
-    """What is swept, its value, and the configuration that has it. Half the samples are coarse."""
-    field, sampler, train = config.field, config.sampler, config.train
-    changed = [("rays", n, replace(config, train=replace(train, rays=n))) for n in sizes.rays]
-    for n in sizes.samples:
-        changed.append(
-            (
-                "samples",
-                n,
-                replace(config, sampler=replace(sampler, coarse=n // 2, fine=n - n // 2)),
-            )
-        )
-    changed += [
-        ("levels", n, replace(config, field=replace(field, levels=n))) for n in sizes.levels
+def run(folder: Path, sizes: ScalingSizes, overrides: tuple[str, ...]) -> BenchOutcome:
+    """Measure all values of all sizes around a configuration, and publish the points."""
+    config, scene = set_up((*sizes.defaults, *overrides))
+    cases = [(swept, value) for swept in LABELS for value in sizes.values[swept]]
+    points = [
+        measure(config, scene, swept, value, sizes)
+        for swept, value in announced(cases, lambda case: f"{case[1]} {LABELS[case[0]]}")
     ]
-    for log2 in sizes.log2_entries:
-        changed.append(
-            ("entries", 2**log2, replace(config, field=replace(field, log2_entries=log2)))
-        )
-    return changed
+    table = tabulate(points, config, sizes)
+    return publish_points(folder / "scaling", points, table, partial(draw, points))
 
 
-def fit(points: Sequence[Point]) -> Fit:
-    """A power and a straight line through the points of one sweep."""
+def measure(
+    config: Config, scene: Scene, swept: str, value: int, sizes: ScalingSizes
+) -> ScalingPoint:
+    """Return the time of a step in which one size has this value."""
+    trainer = make_trainer(changed(config, swept, value), scene)
+    (timed,) = time_steps([trainer], AT, sizes.warmup, sizes.steps)
+    time = spread([1e3 * seconds for seconds in timed.seconds])
+    return ScalingPoint(swept, value, time.median, time.p10, time.p90, timed.points)
+
+
+def changed(config: Config, swept: str, value: int) -> Config:
+    """Return the configuration with another value of one size; half of the samples are coarse."""
+    field, sampler, train = config.field, config.sampler, config.train
+    match swept:
+        case "rays":
+            return replace(config, train=replace(train, rays=value))
+        case "samples":
+            halves = replace(sampler, coarse=value // 2, fine=value - value // 2)
+            return replace(config, sampler=halves)
+        case "levels":
+            return replace(config, field=replace(field, levels=value))
+    return replace(config, field=replace(field, log2_entries=value.bit_length() - 1))
+
+
+def fit(points: Sequence[ScalingPoint]) -> ScalingFit:
+    """Fit a power and a straight line to the points of one sweep."""
     x = np.array([point.value for point in points], dtype=float)
     y = np.array([point.milliseconds for point in points])
     slope = np.polyfit(np.log(x), np.log(y), 1)[0]
     each, fixed = np.polyfit(x, y, 1, w=1 / y)
     off = np.abs((fixed + each * x) / y - 1).max()
-    return Fit(float(slope), float(fixed), float(each), float(off))
+    return ScalingFit(float(slope), float(fixed), float(each), float(off))
 
 
-def print_table(points: Sequence[Point], config: Config, sizes: Sizes) -> None:
-    """Every sweep with its times and its fit."""
-    sampler, field = config.sampler, config.field
-    table = new_table(
-        f"Time of a step against its sizes: {', '.join(config.reg) or 'vanilla'}",
-        f"Around {config.train.rays} rays x ({sampler.coarse} + {sampler.fine}) samples, {field.levels} levels of "
-        f"2^{field.log2_entries} entries; median of {sizes.steps} steps; threads: {threads()}. "
-        "slope: p in time ~ size^p. off: how far the times are from a straight line, at most.",
-    )
-    table.add_column("swept", no_wrap=True)
-    for header in ("from", "to", "ms", "slope", "off"):
-        table.add_column(header, justify="right", no_wrap=True)
-    for swept in LABELS:
-        own = [point for point in points if point.swept == swept]
+def tabulate(points: Sequence[ScalingPoint], config: Config, sizes: ScalingSizes) -> Table:
+    """Return each sweep with its ends, its times and its fit."""
+    sampler, field, rows = config.sampler, config.field, []
+    for swept, label in LABELS.items():
+        own = select(points, swept=swept)
         first, last, fitted = own[0], own[-1], fit(own)
         times = f"{first.milliseconds:.3g} to {last.milliseconds:.3g}"
         off = f"{100 * fitted.off:.1f} %"
-        table.add_row(
-            LABELS[swept], str(first.value), str(last.value), times, f"{fitted.slope:.2f}", off
-        )
-    Console().print(table)
+        rows.append((label, f"{first.value}", f"{last.value}", times, f"{fitted.slope:.2f}", off))
+    return build_table(
+        f"Time of a step against its sizes: {', '.join(config.reg) or 'vanilla'}",
+        f"Around {config.train.rays} rays x ({sampler.coarse} + {sampler.fine}) samples, "
+        f"{field.levels} levels of 2^{field.log2_entries} entries; median of {sizes.steps} steps; "
+        f"threads: {threads()}. slope: p in time ~ size^p. off: how far the times are from a "
+        "straight line, at most.",
+        [*text("swept"), *numbers("from", "to", "ms", "slope", "off")],
+        rows,
+    )
 
 
-def draw(points: Sequence[Point], stem: Path) -> list[Path]:
-    """A log-log panel for each sweep, with its straight line; PNG and SVG."""
-    with panels(1, len(LABELS), 12.5, 3.9) as (figure, axes):
-        for panel, (swept, label) in zip(axes[0], LABELS.items(), strict=True):
-            _sweep(panel, [point for point in points if point.swept == swept])
-            panel.set_xlabel(label)
-        axes[0][0].set_ylabel("time of a step (ms)")
-        low, high = min(p.milliseconds_p10 for p in points), max(p.milliseconds_p90 for p in points)
-        for panel in axes[0]:
-            panel.set_ylim(low / 1.4, high * 1.4)
-        figure.suptitle(
-            "Time of a training step against its sizes (bars: 10 to 90 %; line: straight)",
-            fontsize=11.5,
-        )
-        return save(figure, stem)
-
-
-def _sweep(panel: Axes, points: Sequence[Point]) -> None:
-    x = np.array([point.value for point in points], dtype=float)
-    y = [point.milliseconds for point in points]
-    spans = [
-        [p.milliseconds - p.milliseconds_p10 for p in points],
-        [p.milliseconds_p90 - p.milliseconds for p in points],
-    ]
-    panel.errorbar(x, y, spans, color=PALETTE[0], marker="o", linestyle="none", capsize=2)
-    fitted = fit(points)
-    line = np.geomspace(x[0], x[-1], 50)
-    panel.plot(line, fitted.fixed + fitted.each * line, color=PALETTE[1])
-    panel.set_title(f"slope {fitted.slope:.2f}")
-    panel.set_xscale("log", base=2)
+def draw(points: Sequence[ScalingPoint], stem: Path) -> list[Path]:
+    """Draw the times of each sweep with their quantiles and their straight line."""
+    row = []
+    for swept, label in LABELS.items():
+        own = select(points, swept=swept)
+        x, fitted = [point.value for point in own], fit(own)
+        curves = {
+            "median": (x, [point.milliseconds for point in own]),
+            "10 %": (x, [point.milliseconds_p10 for point in own]),
+            "90 %": (x, [point.milliseconds_p90 for point in own]),
+            "straight line": (x, [fitted.fixed + fitted.each * value for value in x]),
+        }
+        row.append(CurvePanel(curves, f"slope {fitted.slope:.2f}", label, "ms" if not row else ""))
+    return draw_curves(stem, [row], "Time of a training step against its sizes", (12.5, 3.9), 2)

@@ -1,169 +1,131 @@
-"""`nerfreg bench step`: one training step of any configuration, whole and in parts, beside the machine's ceilings."""
+"""`nerfreg bench step`: one training step, whole and in parts, beside the machine's ceilings."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from time import perf_counter
 from typing import Any
 
+from rich.console import Console
+from rich.table import Table
 from torch import Tensor
 
-from nerfreg.analysis.tables import Outcome, write_record
+from nerfreg.analysis.tables import build_table, numbers, text
 from nerfreg.bench.ceilings import Ceilings, measure_ceilings, step_flop
-from nerfreg.bench.configured import TINY, compose, make_trainer, prepare_cpu, step_at
-from nerfreg.bench.parts import measure_parts, replaced
-from nerfreg.bench.timing import Spread, in_turns, spread
+from nerfreg.bench.configured import TINY, StepSizes, make_trainer, set_up, step_at, time_steps
+from nerfreg.bench.outcome import BenchOutcome, publish_record
+from nerfreg.bench.parts import BACKWARD, REST, measure_parts, replaced
+from nerfreg.bench.timing import in_turns, spread
 from nerfreg.config.schema import Config
 from nerfreg.field.fit import fitted
 from nerfreg.field.workers import threads
-from nerfreg.scenes import load_scene
 from nerfreg.scenes.scene import Scene
-from nerfreg.training.memory import keep_large_blocks, peak_memory_mb
-from nerfreg.training.trainer import Trainer
+from nerfreg.training.memory import peak_memory_mb
 
 
-@dataclass(frozen=True)
-class Sizes:
-    """steps: timed whole, and as many again in parts. warmup: steps before them. at: share of the budget that schedules
-    see. square, copy_mb: of the machine's ceilings. defaults: overrides that the command line may override."""
+@dataclass(frozen=True, kw_only=True)
+class PartsSizes(StepSizes):
+    """at: share of the budget that schedules see. square, copy_mb: see `measure_ceilings`."""
 
-    steps: int
-    warmup: int
-    at: float
-    square: int
-    copy_mb: int
-    defaults: tuple[str, ...] = ()
+    at: float = 0.5
+    square: int = 2048
+    copy_mb: int = 256
 
 
-FULL = Sizes(steps=40, warmup=20, at=0.5, square=2048, copy_mb=256)
-QUICK = Sizes(steps=3, warmup=1, at=0.5, square=128, copy_mb=1, defaults=TINY)
+FULL = PartsSizes(steps=40, warmup=20)
+QUICK = PartsSizes(steps=3, warmup=1, square=128, copy_mb=1, defaults=TINY)
 
 
-@dataclass(frozen=True)
-class Measured:
-    """A step of a configuration at share `at` of its budget.
+def run(folder: Path, sizes: PartsSizes, overrides: tuple[str, ...]) -> BenchOutcome:
+    """Measure a step of the configuration that the overrides choose, and publish the record."""
+    config, scene = set_up((*sizes.defaults, *overrides))
+    config = replace(config, field=fitted(config.field, scene))
+    record = measure(config, scene, sizes)
+    Console().print(tabulate(record))
+    return publish_record(folder / "step.json", "The whole step", record)
 
-    milliseconds: of whole steps. parts: milliseconds of each part, in steps of their own. points, colors: evaluations
-    of density and colour in a step. flop: floating point operations of the networks in a step. memory_mb: the peak of
-    the process. compile_seconds: to build the trainer and take the first step. warmup_seconds: the steps after that
-    one that were not timed.
+
+def measure(config: Config, scene: Scene, sizes: PartsSizes) -> dict[str, Any]:
+    """Build, warm up, time whole steps, then their parts, then the machine.
+
+    Returns:
+        The record: times in milliseconds unless they are named otherwise; `points_per_step` and
+        `colors_per_step` count evaluations; see `rates` for the rest.
     """
-
-    scene: str
-    config: Config
-    at: float
-    milliseconds: Spread
-    parts: dict[str, float]
-    points: float
-    colors: float
-    flop: float
-    memory_mb: float
-    compile_seconds: float
-    warmup_seconds: float
-    threads: int
-    ceilings: Ceilings
-
-    @property
-    def points_per_second(self) -> float:
-        return self.points / self.milliseconds.median * 1e3
-
-    @property
-    def gflops(self) -> float:
-        """Arithmetic of the networks, in the time of the whole step."""
-        return self.flop / self.milliseconds.median / 1e6
-
-    def record(self) -> dict[str, Any]:
-        """What `nerfreg bench step` prints as JSON."""
-        sampler, field = self.config.sampler, self.config.field
-        return {
-            "points_per_second": self.points_per_second,
-            "ms": self.milliseconds.median,
-            "ms_p10": self.milliseconds.p10,
-            "ms_p90": self.milliseconds.p90,
-            "parts_ms": self.parts,
-            "points_per_step": self.points,
-            "colors_per_step": self.colors,
-            "peak_memory_mb": round(self.memory_mb),
-            "compile_seconds": self.compile_seconds,
-            "warmup_seconds": self.warmup_seconds,
-            "threads": self.threads,
-            "gflops": self.gflops,
-            "ceiling_network_gflops": self.ceilings.network_gflops,
-            "ceiling_square_gflops": self.ceilings.square_gflops,
-            "ceiling_bandwidth_gb_per_second": self.ceilings.bandwidth_gbs,
-            "arithmetic_share": self.gflops / self.ceilings.network_gflops,
-            "at": self.at,
-            "scene": self.scene,
-            "reg": list(self.config.reg),
-            "rays": self.config.train.rays,
-            "samples": sampler.coarse + sampler.fine,
-            "log2_entries": field.log2_entries,
-            "levels": field.levels,
-            "finest": field.finest,
-        }
-
-
-def run(folder: Path, sizes: Sizes, overrides: tuple[str, ...]) -> Outcome:
-    """Measure a step of the configuration that the overrides choose; print tables; write a JSON file."""
-    from nerfreg.bench.step_report import print_tables
-
-    keep_large_blocks()
-    config = compose((*sizes.defaults, *overrides))
-    prepare_cpu(config)
-    scene = load_scene(config.scene)
-    measured = measure(replace(config, field=fitted(config.field, scene)), scene, sizes)
-    print_tables(measured)
-    return write_record(folder / "step.json", measured.record())
-
-
-def measure(config: Config, scene: Scene, sizes: Sizes) -> Measured:
-    """Build, warm up, time whole steps, then their parts, then the machine."""
     begun = perf_counter()
     trainer = make_trainer(config, scene)
     step_at(trainer, sizes.at)
-    built = perf_counter()
-    for _ in range(sizes.warmup):
-        step_at(trainer, sizes.at)
-    warm = perf_counter()
-    points_before, counted = trainer.renderer.points, _CountedColors(trainer.field.color)
+    built = perf_counter() - begun
+    warm = sum(in_turns([lambda: step_at(trainer, sizes.at)], sizes.warmup)[0])
+    colors, color = 0, trainer.field.color
+
+    def counted(raw: Tensor, harmonics: Tensor, active: float | None = None) -> Tensor:
+        nonlocal colors
+        colors += len(raw)
+        return color(raw, harmonics, active)
+
     with replaced(trainer.field, "color", counted):
-        seconds = time_steps(trainer, sizes.at, sizes.steps)
-    points, colors = (
-        (trainer.renderer.points - points_before) / sizes.steps,
-        counted.colors / sizes.steps,
-    )
+        (timed,) = time_steps([trainer], sizes.at, 0, sizes.steps)
     parts = measure_parts(trainer, sizes.at, sizes.steps)
-    return Measured(
-        scene=scene.name,
-        config=config,
-        at=sizes.at,
-        milliseconds=spread([1e3 * time for time in seconds]),
-        parts=parts,
-        points=points,
-        colors=colors,
-        flop=step_flop(trainer.field, points, colors),
-        memory_mb=peak_memory_mb(),
-        compile_seconds=built - begun,
-        warmup_seconds=warm - built,
-        threads=threads(),
-        ceilings=measure_ceilings(sizes.square, sizes.copy_mb),
+    memory, time = peak_memory_mb(), spread([1e3 * seconds for seconds in timed.seconds])
+    flop = step_flop(trainer.field, timed.points, colors / sizes.steps)
+    ceilings = measure_ceilings(sizes.square, sizes.copy_mb)
+    return {
+        "points_per_second": 1e3 * timed.points / time.median,
+        "ms": time.median,
+        "ms_p10": time.p10,
+        "ms_p90": time.p90,
+        "parts_ms": parts,
+        "points_per_step": timed.points,
+        "colors_per_step": colors / sizes.steps,
+        "peak_memory_mb": round(memory),
+        "compile_seconds": built,
+        "warmup_seconds": warm,
+        "threads": threads(),
+        **rates(flop, time.median, ceilings),
+        "at": sizes.at,
+        "scene": scene.name,
+        "reg": list(config.reg),
+        "rays": config.train.rays,
+        "samples": config.sampler.coarse + config.sampler.fine,
+        "log2_entries": config.field.log2_entries,
+        "levels": config.field.levels,
+        "finest": config.field.finest,
+    }
+
+
+def rates(flop: float, milliseconds: float, ceilings: Ceilings) -> dict[str, float]:
+    """Return the rate of the networks' arithmetic in the time of a whole step, and the ceilings.
+
+    Args:
+        flop: Floating point operations of the networks in a step.
+        milliseconds: Of a step.
+        ceilings: `arithmetic_share` is the share of the networks' one that is reached.
+    """
+    gflops = flop / milliseconds / 1e6
+    return {
+        "gflops": gflops,
+        "ceiling_network_gflops": ceilings.network_gflops,
+        "ceiling_square_gflops": ceilings.square_gflops,
+        "ceiling_bandwidth_gb_per_second": ceilings.bandwidth_gbs,
+        "arithmetic_share": gflops / ceilings.network_gflops,
+    }
+
+
+def tabulate(record: dict[str, Any]) -> Table:
+    """Return the parts of the step with their share, the rest last."""
+    parts = record["parts_ms"]
+    total, rows = sum(parts.values()), []
+    names = dict.fromkeys(part.removesuffix(BACKWARD) for part in parts)
+    for name in sorted(names, key=lambda name: name == REST):
+        forward, backward = parts.get(name, 0.0), parts.get(f"{name}{BACKWARD}")
+        share = f"{100 * (forward + (backward or 0.0)) / total:.1f} %"
+        rows.append((name, f"{forward:.2f}", "" if backward is None else f"{backward:.2f}", share))
+    return build_table(
+        f"One training step in parts: {record['scene']}, {', '.join(record['reg']) or 'vanilla'}",
+        f"Of {total:.3g} ms, in steps of their own, at {100 * record['at']:.3g} % of the budget. "
+        f"{REST}: zeroing, checks, and gradients added up between the parts.",
+        [*text("part"), *numbers("forward ms", "backward ms", "share")],
+        rows,
     )
-
-
-def time_steps(trainer: Trainer, at: float, steps: int) -> list[float]:
-    """Seconds that each of some steps takes."""
-    return in_turns([lambda: step_at(trainer, at)], steps)[0]
-
-
-class _CountedColors:
-    """`RadianceField.color`, and how many colours it was asked for."""
-
-    def __init__(self, color: Callable[..., Tensor]) -> None:
-        self._color = color
-        self.colors = 0
-
-    def __call__(self, raw: Tensor, harmonics: Tensor, active: float | None = None) -> Tensor:
-        self.colors += len(raw)
-        return self._color(raw, harmonics, active)

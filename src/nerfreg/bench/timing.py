@@ -16,26 +16,31 @@ CONDITIONS = "one thread; median of {repetitions} alternating repetitions after 
 """What the caption of every table of run times says."""
 
 
-def median_seconds(calls: Sequence[Callable[[], object]], repetitions: int) -> list[float]:
-    """The median run time of each call, in seconds.
-
-    Each is called once to warm up; then all take turns, so that whatever else the machine does falls on all alike.
-    """
-    with _quiet():
-        for call in calls:
-            call()
-        return [median(seconds) for seconds in in_turns(calls, repetitions)]
+def seconds_of(call: Callable[[], object]) -> float:
+    """Return the run time of one call."""
+    begun = perf_counter()
+    call()
+    return perf_counter() - begun
 
 
 def in_turns(calls: Sequence[Callable[[], object]], rounds: int) -> list[list[float]]:
-    """The run times of each call, in seconds: in every round all are called once, one after the other."""
+    """Return the seconds that each call takes in each round.
+
+    In every round all are called once, one after the other, so that whatever else the machine
+    does slows all of them down alike.
+    """
     seconds: list[list[float]] = [[] for _ in calls]
     for _ in range(rounds):
         for call, measured in zip(calls, seconds, strict=True):
-            begun = perf_counter()
-            call()
-            measured.append(perf_counter() - begun)
+            measured.append(seconds_of(call))
     return seconds
+
+
+def median_seconds(calls: Sequence[Callable[[], object]], repetitions: int) -> list[float]:
+    """Return the median run time of each call, after one call of each to warm up."""
+    with _quiet():
+        in_turns(calls, 1)
+        return [median(seconds) for seconds in in_turns(calls, repetitions)]
 
 
 @dataclass(frozen=True)
@@ -48,14 +53,14 @@ class Spread:
 
 
 def spread(values: Sequence[float]) -> Spread:
-    """Where most of some measured values lie."""
+    """Return where most of some measured values lie."""
     p10, middle, p90 = np.quantile(values, (0.1, 0.5, 0.9)).tolist()
     return Spread(middle, p10, p90)
 
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """One thread, and no garbage collection in the middle of a measurement."""
+    # One thread, and no garbage collection in the middle of a measurement.
     threads, collecting = torch.get_num_threads(), gc.isenabled()
     torch.set_num_threads(1)
     gc.disable()
