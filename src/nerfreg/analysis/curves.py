@@ -1,73 +1,85 @@
-"""Figures of curves on logarithmic axes, from numbers alone."""
+"""Figures of curves on logarithmic axes, from points that say where they belong."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+import math
+from collections.abc import Iterable
 from pathlib import Path
+from statistics import median
+from typing import NamedTuple
 
 from nerfreg.analysis.figures import panels, save, styles
 
-Curve = tuple[Sequence[float], Sequence[float]]
-"""x and y of its points."""
 
-
-@dataclass(frozen=True)
-class CurvePanel:
-    """A panel of a figure.
+class Dot(NamedTuple):
+    """A point of a figure.
 
     Attributes:
-        curves: By label; one label has one colour and one marker in the whole figure.
-        title: Above the panel.
-        xlabel: Below it.
-        ylabel: To its left, if it is the first of its row.
+        row: Row of panels that it lies in; the label of their y.
+        column: Column of panels; their title.
+        curve: The curve that it is part of; its label in the legend.
+        x: Above 0; points that are not are left out.
+        y: Of dots that differ in nothing else, the median is drawn.
     """
 
-    curves: Mapping[str, Curve]
-    title: str = ""
-    xlabel: str = ""
-    ylabel: str = ""
+    row: str
+    column: str
+    curve: str
+    x: float
+    y: float
 
 
 def draw_curves(
     stem: Path,
-    rows: Sequence[Sequence[CurvePanel]],
+    dots: Iterable[Dot],
     title: str,
     size: tuple[float, float],
-    xbase: int = 10,
+    xlabel: str = "",
+    span: tuple[float, float] = (0.0, math.inf),
 ) -> list[Path]:
-    """Draw panels with one legend, those of a row with the same y, as STEM.png and STEM.svg.
+    """Draw curves in panels that share y in each row, as STEM.png and STEM.svg.
 
     Args:
         stem: Path of the files without their ending.
-        rows: Panels from left to right, as many in each row.
+        dots: Rows, columns and curves stand in the order in which they first appear.
         title: Above all panels.
         size: Width and height in inches.
-        xbase: Base of the ticks of x.
+        xlabel: Below the lowest row.
+        span: y outside is drawn at the end of the span.
 
     Returns:
         The paths of both files.
     """
-    labels = dict.fromkeys(label for row in rows for panel in row for label in panel.curves)
-    named = {style.label: style for style in styles(tuple(labels))}
-    with panels(len(rows), len(rows[0]), *size) as (figure, axes):
-        handles = {}
-        for row, axes_of_row in zip(rows, axes, strict=True):
-            values = [
-                value for panel in row for curve in panel.curves.values() for value in curve[1]
-            ]
-            for panel, ax in zip(row, axes_of_row, strict=True):
-                for label, (x, y) in panel.curves.items():
-                    look = {"color": named[label].color, "marker": named[label].marker}
-                    handles[label] = ax.plot(x, y, label=label, markeredgewidth=0, **look)[0]
-                ax.set(
-                    title=panel.title, xlabel=panel.xlabel, ylim=(min(values) / 2, max(values) * 2)
-                )
-                ax.set_xscale("log", base=xbase)
-                ax.tick_params(labelleft=False)
-            axes_of_row[0].set_ylabel(row[0].ylabel)
-            axes_of_row[0].tick_params(labelleft=True)
+    values: dict[tuple[str, str, str], dict[float, list[float]]] = {}
+    for row, column, curve, x, y in dots:
+        if x > 0:
+            of_x = values.setdefault((row, column, curve), {}).setdefault(x, [])
+            of_x.append(min(max(y, span[0]), span[1]))
+    rows, columns, curves = (list(dict.fromkeys(names)) for names in zip(*values, strict=True))
+    named = dict(zip(curves, styles(curves), strict=True))
+    with panels(len(rows), len(columns), *size) as (figure, axes):
+        for (row, column, curve), points in values.items():
+            panel, style = axes[rows.index(row)][columns.index(column)], named[curve]
+            medians = [median(of_x) for of_x in points.values()]
+            panel.plot(
+                list(points),
+                medians,
+                color=style.color,
+                marker=style.marker,
+                label=curve,
+                markeredgewidth=0,
+            )
+        for row, panels_of_row in zip(rows, axes, strict=True):
+            limits = [panel.get_ylim() for panel in panels_of_row]
+            panels_of_row[0].set_ylabel(row)
+            for panel in panels_of_row:
+                panel.set_ylim(min(low for low, _ in limits), max(high for _, high in limits))
+                panel.tick_params(labelleft=panel is panels_of_row[0])
+        for index, column in enumerate(columns):
+            axes[0][index].set_title(column)
+            axes[-1][index].set_xlabel(xlabel)
         figure.suptitle(title, fontsize=11.5)
-        place, columns = "outside lower center", len(handles)
-        figure.legend(handles.values(), handles, loc=place, ncols=columns, frameon=False)
+        lines = {line.get_label(): line for row in axes for ax in row for line in ax.get_lines()}
+        handles = [lines[curve] for curve in curves]
+        figure.legend(handles, curves, loc="outside lower center", ncols=4, frameon=False)
         return save(figure, stem)

@@ -9,6 +9,7 @@ from functools import cache
 from statistics import fmean, stdev
 
 import mpmath
+import numpy as np
 
 ERROR = 0.05
 """Chance that any verdict of a study is wrong, at most."""
@@ -95,3 +96,18 @@ def cells_needed(deviation: float, half: float, error: float) -> int | None:
         middle = (low + high) // 2
         low, high = (low, middle) if enough(middle) else (middle, high)
     return high
+
+
+@dataclass(frozen=True)
+class Spread:
+    """Median, and the quantiles of 10 and 90 %."""
+
+    median: float
+    p10: float
+    p90: float
+
+
+def spread(values: Sequence[float]) -> Spread:
+    """Return where most of some measured values lie."""
+    p10, middle, p90 = np.quantile(values, (0.1, 0.5, 0.9)).tolist()
+    return Spread(middle, p10, p90)

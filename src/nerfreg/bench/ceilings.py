@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import torch
 from torch import nn
@@ -18,28 +17,17 @@ PASSES = 3
 """Forward, the gradient of the weights and that of the input take one matrix product each."""
 
 
-@dataclass(frozen=True)
-class Ceilings:
-    """The best rates of the machine, with all threads.
-
-    Attributes:
-        network_gflops: Products of 4096 x 64 x 64, one after the other on every thread.
-        square_gflops: One large square product.
-        bandwidth_gbs: Reading and writing, in a large copy, in GB/s.
-    """
-
-    network_gflops: float
-    square_gflops: float
-    bandwidth_gbs: float
-
-
-def measure_ceilings(square: int, copy_mb: int, repetitions: int = 5) -> Ceilings:
-    """Return the best of some repetitions.
+def measure_ceilings(square: int, copy_mb: int, repetitions: int = 5) -> dict[str, float]:
+    """Return the best rates of the machine with all threads, of some repetitions after a warm-up.
 
     Args:
-        square: Side of the large product.
-        copy_mb: Size of what is copied.
-        repetitions: After one that does not count.
+        square: Side of one large matrix product.
+        copy_mb: Size of a large copy, which is read and written.
+        repetitions: Of each measurement.
+
+    Returns:
+        GFLOP/s of products of 4096 x 64 x 64, one after the other on every thread, and of the large
+        product, and GB/s of the copy.
     """
     count, products = threads(), max(square // WIDTH, 1) * 8
     a, b, product = (torch.rand(square, square) for _ in range(3))
@@ -48,19 +36,20 @@ def measure_ceilings(square: int, copy_mb: int, repetitions: int = 5) -> Ceiling
     def on_every_thread() -> None:
         in_shares(count * ROWS, ROWS, lambda start, stop: _multiply(stop - start, products))
 
-    def giga_per_second(work: int, call: Callable[[], object]) -> float:
+    def rate(work: int, call: Callable[[], object]) -> float:
         return work / min(in_turns([call], repetitions + 1)[0][1:]) / 1e9
 
+    network, large = product_flop(ROWS, WIDTH, WIDTH), product_flop(square, square, square)
     of_torch = torch.get_num_threads()
     torch.set_num_threads(count)
     try:
-        return Ceilings(
-            giga_per_second(count * products * product_flop(ROWS, WIDTH, WIDTH), on_every_thread),
-            giga_per_second(
-                product_flop(square, square, square), lambda: torch.mm(a, b, out=product)
+        return {
+            "ceiling_network_gflops": rate(count * products * network, on_every_thread),
+            "ceiling_square_gflops": rate(large, lambda: torch.mm(a, b, out=product)),
+            "ceiling_bandwidth_gb_per_second": rate(
+                2 * copy_mb * 2**20, lambda: target.copy_(source)
             ),
-            giga_per_second(2 * copy_mb * 2**20, lambda: target.copy_(source)),
-        )
+        }
     finally:
         torch.set_num_threads(of_torch)
 

@@ -19,20 +19,15 @@ from nerfreg.training.memory import keep_large_blocks
 from nerfreg.training.trainer import Trainer
 
 TINY = (
-    "train.rays=64", "sampler.coarse=8", "sampler.fine=8", "field.levels=4", "field.finest=32", "field.log2_entries=10",
-)  # fmt: skip
+    *("train.rays=64", "sampler.coarse=8", "sampler.fine=8"),
+    *("field.levels=4", "field.finest=32", "field.log2_entries=10"),
+)
 """Overrides of a quick bench; those of the command line come after them and win."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class StepSizes:
-    """What all benches that train have in common.
-
-    Attributes:
-        steps: Timed steps.
-        warmup: Steps before them.
-        defaults: Overrides that the command line may override.
-    """
+    """Timed steps, steps before them, and overrides that the command line may override."""
 
     steps: int
     warmup: int
@@ -89,7 +84,7 @@ def step_at(trainer: Trainer, share: float) -> list[Term]:
 def time_steps(
     trainers: Sequence[Trainer], share: float, warmup: int, steps: int
 ) -> list[TimedSteps]:
-    """Return the timed steps, at a share of the budget, of trainers that take turns step by step."""
+    """Return the timed steps at a share of the budget; all trainers take turns, step by step."""
     calls = [partial(step_at, trainer, share) for trainer in trainers]
     in_turns(calls, warmup)
     before = [trainer.renderer.points for trainer in trainers]

@@ -25,14 +25,10 @@ UNKNOWN = 4
 
 @dataclass(frozen=True)
 class LossInput:
-    """A kind of ray.
+    """A kind of ray, with samples from near to far.
 
-    Attributes:
-        name: In files and figures.
-        thickness: Optical thickness of each interval (R, N), from the place of each ray's surface
-            (R, 1) and the middle of each interval (R, N), both 0 at near and 1 at far.
-        near: Where the samples begin.
-        far: Where they end.
+    `thickness` is the optical thickness of each interval (R, N), from the place of each ray's
+    surface (R, 1) and the middle of each interval (R, N), both 0 at near and 1 at far.
     """
 
     name: str
@@ -41,13 +37,7 @@ class LossInput:
     far: float = 6.0
 
     def rendering(self, rays: int, samples: int, dtype: torch.dtype = torch.float32) -> Rendering:
-        """Composite in `dtype`, from the same random numbers in every dtype.
-
-        Args:
-            rays: A multiple of PATCH^2.
-            samples: Per ray.
-            dtype: Of all results.
-        """
+        """Composite a multiple of PATCH^2 rays from the same random numbers in every dtype."""
         random = partial(
             torch.rand, generator=torch.Generator().manual_seed(samples), dtype=torch.float64
         )

@@ -18,12 +18,12 @@ from jaxtyping import Float
 from rich.table import Table
 from torch import Tensor
 
-from nerfreg.analysis.curves import CurvePanel, draw_curves
+from nerfreg.analysis.curves import Dot, draw_curves
 from nerfreg.analysis.tables import build_table, numbers, select, text
-from nerfreg.bench.inputs import INPUTS, LossInput
+from nerfreg.bench.inputs import INPUTS, PATCH, LossInput
 from nerfreg.bench.outcome import BenchOutcome, publish_points
 from nerfreg.bench.rivals import MOST_SAMPLES, RIVALS
-from nerfreg.bench.timing import CONDITIONS, median_seconds
+from nerfreg.bench.timing import RaySizes, median_seconds
 from nerfreg.errors import NerfregError, NoRendererError
 from nerfreg.hooks import Rendering, Step
 from nerfreg.registry import Hooks, PluginInfo, installed
@@ -32,35 +32,21 @@ PLUGIN = "plugin"
 """The form of a loss that is the plugin's own."""
 DIFFERENTIABLE = ("density", "tau", "log_transmittance", "weights", "opacity", "depth", "rgb")
 SMALLEST = torch.finfo(torch.float32).tiny
-LOWEST, HIGHEST = 1e-9, 1e3
+SPAN = (1e-9, 1e3)
 """Errors beyond are drawn there."""
 
 
-@dataclass(frozen=True)
-class LossSizes:
-    """samples: per ray, ascending. rays: of which the time is measured. exact_rays: of which the
-    value is compared with the exact one, which takes long. repetitions: of each measured time."""
-
-    samples: tuple[int, ...]
-    rays: int
-    exact_rays: int
-    repetitions: int
-
-
-FULL = LossSizes(tuple(2**k for k in range(3, 12)), rays=256, exact_rays=32, repetitions=7)
-QUICK = LossSizes((8, 32), rays=32, exact_rays=16, repetitions=2)
+FULL = RaySizes(tuple(2**k for k in range(3, 12)), rays=256, repetitions=7)
+QUICK = RaySizes((8, 32), rays=32, repetitions=2)
 
 
 @dataclass(frozen=True)
 class LossPoint:
     """One loss in one form on one input.
 
-    Attributes:
-        relative_error: Between value and exact; an exact value below the smallest normal float32
-            counts as that.
-        milliseconds: Forward and backward on `rays` rays.
-        value: The sum of its terms on `exact_rays` rays in float32.
-        exact: What it should be.
+    Value and exact are the sum of its terms on `exact_rays` rays in float32, and what it should be;
+    for the relative error, an exact value below the smallest normal float32 counts as that.
+    Milliseconds are those of forward and backward on `rays` rays.
     """
 
     plugin: str
@@ -75,7 +61,7 @@ class LossPoint:
     rays: int
 
 
-def run(folder: Path, sizes: LossSizes) -> BenchOutcome:
+def run(folder: Path, sizes: RaySizes) -> BenchOutcome:
     """Measure all losses on all inputs and sizes, and publish the points.
 
     Raises:
@@ -85,13 +71,14 @@ def run(folder: Path, sizes: LossSizes) -> BenchOutcome:
     points = list(chain(*measured.values()))
     if not points:
         raise NerfregError(
-            "bench losses: no installed plugin ships exact values of its loss; see `nerfreg plugins`"
+            "bench losses: no installed plugin ships exact values of its loss; "
+            "see `nerfreg plugins`"
         )
     table = tabulate(points, [name for name, own in measured.items() if not own], sizes)
-    return publish_points(folder / "losses", points, table, partial(draw, points, sizes))
+    return publish_points(folder / "losses", points, table, draw)
 
 
-def measure(info: PluginInfo, sizes: LossSizes) -> list[LossPoint]:
+def measure(info: PluginInfo, sizes: RaySizes) -> list[LossPoint]:
     """Return one point for each form, input and number of samples; none if it cannot take part."""
     if info.cls is None or not _has_loss(info):
         return []
@@ -102,14 +89,16 @@ def measure(info: PluginInfo, sizes: LossSizes) -> list[LossPoint]:
 
 
 def _has_loss(info: PluginInfo) -> bool:
-    return info.cls is not None and "loss" in info.hook_points
+    return "loss" in info.hook_points
 
 
 def _measure(
-    name: str, hooks: Hooks, given: LossInput, samples: int, sizes: LossSizes
+    name: str, hooks: Hooks, given: LossInput, samples: int, sizes: RaySizes
 ) -> list[LossPoint]:
     step = Step(50, 100, 0.5, torch.Generator().manual_seed(0), (given.near, given.far))
-    few, many = (given.rendering(rays, samples) for rays in (sizes.exact_rays, sizes.rays))
+    # Exact values take long; rays come in patches.
+    exact_rays = max(sizes.rays // 8, PATCH**2)
+    few, many = given.rendering(exact_rays, samples), given.rendering(sizes.rays, samples)
 
     def own(rendering: Rendering) -> Float[Tensor, ""]:
         return torch.stack([term.value for term in hooks.losses(rendering, step)]).sum()
@@ -121,13 +110,14 @@ def _measure(
     except NoRendererError:
         return []
     rivals = RIVALS.get(name, {}).items()
-    forms = {PLUGIN: own, **{f: v for f, v in rivals if samples <= MOST_SAMPLES.get(f, samples)}}
+    forms = {f: loss for f, loss in rivals if samples <= MOST_SAMPLES.get(f, samples)}
+    forms = {PLUGIN: own, **forms}
     calls = [partial(forward_and_backward, loss, many) for loss in forms.values()]
     truth, points = float(sum(exact.values())), []
     for form, seconds in zip(forms, median_seconds(calls, sizes.repetitions), strict=True):
         value = float(forms[form](few))
         error = abs(value - truth) / max(abs(truth), SMALLEST)
-        result = (error, 1e3 * seconds, value, truth, sizes.exact_rays, sizes.rays)
+        result = (error, 1e3 * seconds, value, truth, exact_rays, sizes.rays)
         points.append(LossPoint(name, form, given.name, samples, *result))
     return points
 
@@ -142,17 +132,16 @@ def forward_and_backward(
     return value.detach(), dict(zip(leaves, gradients, strict=True))
 
 
-def tabulate(points: Sequence[LossPoint], left_out: Sequence[str], sizes: LossSizes) -> Table:
+def tabulate(points: Sequence[LossPoint], left_out: Sequence[str], sizes: RaySizes) -> Table:
     """Return for each form its worst error on each input and its time at the most samples."""
     caption = (
         f"Worst relative error in float32 over {sizes.samples[0]} to {sizes.samples[-1]} samples, "
-        f"on {sizes.exact_rays} rays. Times: forward and backward on {sizes.rays} rays at the most "
-        "samples that the form was run with; "
-        f"{CONDITIONS.format(repetitions=sizes.repetitions)}."
+        f"on {points[0].exact_rays} rays. Times: forward and backward on {sizes.rays} rays at the "
+        f"most samples that the form was run with; {sizes.conditions}."
     )
     if left_out:
-        missing = "Without a term of a rendering alone, or without exact values"
-        caption += f" {missing}: {', '.join(left_out)}."
+        caption += " Without a term of a rendering alone, or without exact values: "
+        caption += f"{', '.join(left_out)}."
     names = [given.name for given in INPUTS]
     rows = []
     for plugin, form in dict.fromkeys((point.plugin, point.form) for point in points):
@@ -164,30 +153,15 @@ def tabulate(points: Sequence[LossPoint], left_out: Sequence[str], sizes: LossSi
     return build_table("Losses: error by input, and run time", caption, columns, rows)
 
 
-def draw(points: Sequence[LossPoint], sizes: LossSizes, stem: Path) -> list[Path]:
-    """Draw errors, a row for each input, and run times against samples, a column for each plugin."""
+def draw(points: Sequence[LossPoint], stem: Path) -> list[Path]:
+    """Draw errors, a row for each input, and times against samples, a column for each plugin."""
     # Those with a form to compare with come first: they are what the figure is about.
-    plugins = sorted(dict.fromkeys(p.plugin for p in points), key=lambda name: name not in RIVALS)
-    rows = [[_errors(points, name, given.name) for name in plugins] for given in INPUTS]
-    times = []
-    for name in plugins:
-        forms = _by_form(select(points, plugin=name)).items()
-        curves = {form: (list(_times(own)), list(_times(own).values())) for form, own in forms}
-        times.append(CurvePanel(curves, name, "samples per ray", "run time (ms)"))
-    title = f"Losses in float32: relative error on {len(INPUTS)} inputs, time for {sizes.rays} rays"
-    return draw_curves(stem, [*rows, times], title, (max(2.25 * len(plugins), 7.0), 11.0), 2)
-
-
-def _errors(points: Sequence[LossPoint], plugin: str, given: str) -> CurvePanel:
-    curves = {}
-    for form, own in _by_form(select(points, plugin=plugin, input=given)).items():
-        errors = [min(max(point.relative_error, LOWEST), HIGHEST) for point in own]
-        curves[form] = ([point.samples for point in own], errors)
-    return CurvePanel(curves, plugin, ylabel=f"{given}\nrelative error")
-
-
-def _by_form(points: Sequence[LossPoint]) -> dict[str, list[LossPoint]]:
-    return {form: select(points, form=form) for form in dict.fromkeys(p.form for p in points)}
+    points = sorted(points, key=lambda point: point.plugin not in RIVALS)
+    dots = [Dot(f"{p.input} error", p.plugin, p.form, p.samples, p.relative_error) for p in points]
+    dots += [Dot("time (ms)", p.plugin, p.form, p.samples, p.milliseconds) for p in points]
+    title = f"Losses in float32: relative error, and run time of {points[0].rays} rays"
+    width = 2.25 * len({point.plugin for point in points})
+    return draw_curves(stem, dots, title, (max(width, 7.5), 11.0), "samples per ray", SPAN)
 
 
 def _times(points: Sequence[LossPoint]) -> dict[int, float]:

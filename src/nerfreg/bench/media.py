@@ -33,8 +33,7 @@ class Medium:
     """A density along a ray.
 
     Attributes:
-        name: In files.
-        title: In plots.
+        name: In files and figures.
         density: At distances t, of any shape.
         thickness: Optical thickness from 0 to t, an mpmath number, in closed form.
         breaks: Ascending distances in (0, 1) between which the density is smooth and not steep.
@@ -43,8 +42,7 @@ class Medium:
     """
 
     name: str
-    title: str
-    density: Callable[[Float[Tensor, "*points"]], Float[Tensor, "*points"]]
+    density: Callable[[Tensor], Tensor]
     thickness: Callable[[Any], Any]
     breaks: tuple[float, ...] = ()
     slack: float = 0.0
@@ -62,8 +60,8 @@ class Exact(NamedTuple):
 def exact(medium: Medium) -> Exact:
     """Return what a ray through the medium shows.
 
-    Integrals of exp(-thickness) density f are integrated by parts, so that only the thickness is
-    needed: with f = 1, t and exp(2 pi i t), the last of which holds the colours of all phases.
+    Integrals of exp(-thickness) density f are taken by parts, so that only the thickness is needed,
+    with f = 1, t and exp(2 pi i t), the last of which holds the colours of all phases.
     """
 
     def transmitted(t: Any) -> Any:
@@ -89,7 +87,7 @@ class Wall(NamedTuple):
     density: float
 
 
-def walls(name: str, title: str, *pieces: Wall, slack: float = 0.0) -> Medium:
+def walls(name: str, *pieces: Wall, slack: float = 0.0) -> Medium:
     """Return walls one behind the other, with vacuum between them."""
 
     def density(t: Tensor) -> Tensor:
@@ -97,28 +95,26 @@ def walls(name: str, title: str, *pieces: Wall, slack: float = 0.0) -> Medium:
         return torch.stack(inside).sum(dim=0).to(t.dtype)
 
     def thickness(t: Any) -> Any:
-        return mp.fsum(
-            wall.density * max(min(t, wall.end) - mp.mpf(wall.start), 0) for wall in pieces
-        )
+        return mp.fsum(w.density * max(min(t, w.end) - mp.mpf(w.start), 0) for w in pieces)
 
     breaks = sorted({t for wall in pieces for t in wall[:2] if 0 < t < 1})
-    return Medium(name, title, density, thickness, tuple(breaks), slack)
+    return Medium(name, density, thickness, tuple(breaks), slack)
 
 
-def exponential(name: str, title: str, start: float, falloff: float) -> Medium:
+def exponential(name: str, start: float, falloff: float) -> Medium:
     """Return start * exp(-falloff t), which thins out from the camera on."""
-    return Medium(
-        name,
-        title,
-        lambda t: start * torch.exp(-falloff * t),
-        lambda t: -start * mp.expm1(-falloff * t) / falloff,
-    )
+
+    def thickness(t: Any) -> Any:
+        return -start * mp.expm1(-falloff * t) / falloff
+
+    return Medium(name, lambda t: start * torch.exp(-falloff * t), thickness)
 
 
-def gaussian(
-    name: str, title: str, peak: float, center: float, width: float, slack: float = 0.0
-) -> Medium:
+def gaussian(name: str, peak: float, center: float, width: float, slack: float = 0.0) -> Medium:
     """Return peak * exp(-(t - center)^2 / (2 width^2))."""
+
+    def density(t: Tensor) -> Tensor:
+        return peak * torch.exp(-(((t - center) / width) ** 2) / 2)
 
     def thickness(t: Any) -> Any:
         scale = width * mp.sqrt(2)
@@ -127,47 +123,25 @@ def gaussian(
 
     # Light goes out within a fraction of a width, anywhere in the rise of the density.
     places = [center + width * step / 2 for step in range(-12, 13)]
-    return Medium(
-        name,
-        title,
-        lambda t: peak * torch.exp(-(((t - center) / width) ** 2) / 2),
-        thickness,
-        tuple(t for t in places if 0 < t < 1),
-        slack,
-    )
+    return Medium(name, density, thickness, tuple(t for t in places if 0 < t < 1), slack)
 
 
-SHELL_THICKNESS = 1 / 768
-"""A third more than one of 1024 intervals: no power of two of them fits it by accident."""
-SHELL_DEPTH = 0.6
+THIN = 1 / 768
+"""Of shells: a third more than one of 1024 intervals, which no power of two fits by accident."""
+PLACE = 0.6
 SLACK = 1 / 8
 """One of the fewest intervals, so that a shell lies anywhere between two samples."""
-
-
-def _shell(exponent: int) -> Medium:
-    wall = Wall(SHELL_DEPTH, SHELL_DEPTH + SHELL_THICKNESS, 10.0**exponent)
-    return walls(f"shell_1e{exponent}", rf"shell, $\sigma = 10^{exponent}$", wall, slack=SLACK)
-
-
 MEDIA = (
-    walls("slab", "constant slab", Wall(0.0, 1.0, 3.0)),
-    exponential("exponential", "exponential", start=8.0, falloff=4.0),
-    gaussian("gaussian_bump", "Gaussian bump", peak=10.0, center=0.5, width=0.1),
-    *map(_shell, (0, 2, 4, 6)),
-    gaussian(
-        "gaussian_shell",
-        r"Gaussian shell, $\sigma = 10^4$",
-        peak=1e4,
-        center=SHELL_DEPTH,
-        width=SHELL_THICKNESS / math.sqrt(2 * math.pi),
-        slack=SLACK,
-    ),
+    walls("slab", Wall(0.0, 1.0, 3.0)),
+    exponential("exponential", start=8.0, falloff=4.0),
+    gaussian("gaussian_bump", peak=10.0, center=0.5, width=0.1),
+    *(walls(f"shell_1e{n}", Wall(PLACE, PLACE + THIN, 10.0**n), slack=SLACK) for n in (0, 2, 4, 6)),
+    gaussian("gaussian_shell", 1e4, PLACE, THIN / math.sqrt(2 * math.pi), slack=SLACK),
+    # The first lets half of the light through.
     walls(
         "two_shells",
-        "two shells",
-        # The first lets half of the light through.
-        Wall(0.3, 0.3 + SHELL_THICKNESS, 768 * math.log(2)),
-        Wall(0.7, 0.7 + SHELL_THICKNESS, 1e5),
+        Wall(0.3, 0.3 + THIN, 768 * math.log(2)),
+        Wall(0.7, 0.7 + THIN, 1e5),
         slack=SLACK,
     ),
 )

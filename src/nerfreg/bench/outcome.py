@@ -26,7 +26,7 @@ class BenchOutcome:
 
 
 def publish_points(
-    stem: Path, points: Sequence[Any], table: Table, draw: Callable[[Path], list[Path]]
+    stem: Path, points: Sequence[T], table: Table, draw: Callable[[Sequence[T], Path], list[Path]]
 ) -> BenchOutcome:
     """Print a table, and write STEM.csv and a figure.
 
@@ -34,10 +34,10 @@ def publish_points(
         stem: Path of the files without their ending.
         points: Dataclasses of one kind; their fields are the columns of the CSV file.
         table: What is printed.
-        draw: Writes the figure to a stem and returns its files.
+        draw: Draws the points to STEM.png and STEM.svg, and returns both.
     """
     Console().print(table)
-    return BenchOutcome([write_points(stem.with_suffix(".csv"), points), *draw(stem)])
+    return BenchOutcome([write_points(stem.with_suffix(".csv"), points), *draw(points, stem)])
 
 
 def publish_record(path: Path, title: str, record: dict[str, Any]) -> BenchOutcome:
@@ -54,5 +54,5 @@ def announced(items: Iterable[T], describe: Callable[[T], str]) -> Iterator[T]:
         for item in items:
             status.update(describe(item))
             yield item
-            # Trainers are part of cycles of references and would stay in memory beside the next ones.
+            # Trainers are in cycles of references and would stay in memory beside the next ones.
             gc.collect()

@@ -8,8 +8,7 @@ alike, and move together from share to share of the budget, because windows and 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import astuple, dataclass
-from functools import partial
+from dataclasses import dataclass, replace
 from pathlib import Path
 from statistics import mean, median
 
@@ -18,18 +17,11 @@ from rich.table import Table
 from torch import Tensor, nn
 
 from nerfreg.analysis.figures import GUIDE, PALETTE, panels, save
+from nerfreg.analysis.statistics import spread
 from nerfreg.analysis.tables import build_table, numbers, select, text
-from nerfreg.bench.configured import (
-    TINY,
-    StepSizes,
-    TimedSteps,
-    compose,
-    make_trainer,
-    set_up,
-    time_steps,
-)
+from nerfreg.bench import configured
+from nerfreg.bench.configured import TINY, StepSizes, TimedSteps
 from nerfreg.bench.outcome import BenchOutcome, announced, publish_points
-from nerfreg.bench.timing import spread
 from nerfreg.config.schema import Config
 from nerfreg.config.search_path import options
 from nerfreg.errors import NerfregError, nearest
@@ -44,8 +36,6 @@ VANILLA = "vanilla"
 NO_MANAGER = "no plugin manager"
 CORE, PLUGIN, PRESET = "core", "plugin", "preset"
 COLORS = {CORE: PALETTE[2], PLUGIN: PALETTE[0], PRESET: PALETTE[4]}
-
-
 LIMITS: dict[str, tuple[float, float]] = {
     NO_MANAGER: (0.98, 1.02),
     "combinerf": (0.0, 1.15),
@@ -64,8 +54,7 @@ TOGETHER = 4
 
 @dataclass(frozen=True, kw_only=True)
 class OverheadSizes(StepSizes):
-    """shares: of the budget, at each of which the steps are timed. only: names of variants, or all
-    if there are none. The warm-up comes before the first share."""
+    """Shares of the budget at which steps are timed, ascending, and names of variants or none."""
 
     shares: tuple[float, ...]
     only: tuple[str, ...] = ()
@@ -75,8 +64,8 @@ FULL = OverheadSizes(shares=(0.05, 0.25, 0.5, 0.75, 0.95), steps=20, warmup=60)
 QUICK = OverheadSizes(shares=(0.05, 0.5), steps=2, warmup=1, defaults=TINY)
 
 
-class WithoutManager(Hooks):
-    """The core as it would be if there were no plugins to look for."""
+class _WithoutManager(Hooks):
+    # The core as it would be if there were no plugins to look for.
 
     def needs(self, step: Step) -> Needs:
         return Needs()
@@ -98,17 +87,17 @@ class WithoutManager(Hooks):
 
 @dataclass(frozen=True)
 class Variant:
-    """A plugin, a preset, or the core: its name, which of them it is, and overrides that select it."""
+    """The core, or a plugin or preset, which its name selects."""
 
     name: str
     kind: str
-    choice: tuple[str, ...] = ()
 
     def trainer(self, overrides: Sequence[str], scene: Scene) -> Trainer:
         """Return a trainer of the variant on a scene that is loaded already."""
-        config = compose((*overrides, f"scene.layout={scene.layout}", *self.choice))
-        hooks = WithoutManager() if self.name == NO_MANAGER else Hooks(config.reg)
-        return make_trainer(config, scene, hooks)
+        choice = [] if self.kind == CORE else [f"+reg={self.name}"]
+        config = configured.compose((*overrides, f"scene.layout={scene.layout}", *choice))
+        hooks = _WithoutManager() if self.name == NO_MANAGER else Hooks(config.reg)
+        return configured.make_trainer(config, scene, hooks)
 
 
 @dataclass(frozen=True)
@@ -140,19 +129,19 @@ def run(folder: Path, sizes: OverheadSizes, overrides: tuple[str, ...]) -> Bench
     """
     if chosen := next((word for word in overrides if word.lstrip("+~").startswith("reg=")), None):
         raise NerfregError(
-            f"{chosen}: bench overhead selects plugins itself; write --only NAME,NAME for some of them"
+            f"{chosen}: bench overhead selects plugins itself; "
+            "write --only NAME,NAME for some of them"
         )
     variants, overrides = choose(sizes.only), (*sizes.defaults, *overrides)
-    config, scene = set_up(overrides)
+    config, scene = configured.set_up(overrides)
     groups = [variants[i : i + TOGETHER] for i in range(0, len(variants), TOGETHER)]
     points = [
         point
         for group in announced(groups, lambda group: ", ".join(v.name for v in group))
         for point in measure(group, overrides, scene, sizes)
     ]
-    summary = summarize(points)
-    table = tabulate(summary, config, scene.name, sizes)
-    return publish_points(folder / "overhead", points, table, partial(draw, summary))
+    table = tabulate(points, config, scene.name, sizes)
+    return publish_points(folder / "overhead", points, table, draw)
 
 
 def choose(only: Sequence[str]) -> list[Variant]:
@@ -162,16 +151,15 @@ def choose(only: Sequence[str]) -> list[Variant]:
         NerfregError: A name is that of no variant.
     """
     plugins = installed()
-    kinds = {plugin.name: PLUGIN for plugin in plugins if plugin.cls is not None}
+    kinds = {NO_MANAGER: CORE} | {p.name: PLUGIN for p in plugins if p.cls is not None}
     taken = {VANILLA, *(plugin.name for plugin in plugins)}
     kinds |= {name: PRESET for name in options("reg", plugins) if name not in taken}
-    known = {NO_MANAGER: Variant(NO_MANAGER, CORE)}
-    known |= {name: Variant(name, kind, (f"+reg={name}",)) for name, kind in kinds.items()}
-    if unknown := [name for name in only if name not in known]:
-        raise NerfregError(
-            f"--only {unknown[0]}: no installed plugin or preset; {nearest(unknown[0], known)}"
-        )
-    return [variant for name, variant in known.items() if not only or name in only]
+    for name in only:
+        if name not in kinds:
+            raise NerfregError(
+                f"--only {name}: no installed plugin or preset; {nearest(name, kinds)}"
+            )
+    return [Variant(name, kind) for name, kind in kinds.items() if not only or name in only]
 
 
 def measure(
@@ -183,7 +171,7 @@ def measure(
         start_alike(trainer, trainers[0])
     for share in sizes.shares:
         warmup = sizes.warmup if share == sizes.shares[0] else SETTLING
-        vanilla, *timed = time_steps(trainers, share, warmup, sizes.steps)
+        vanilla, *timed = configured.time_steps(trainers, share, warmup, sizes.steps)
         for variant, own in zip(group, timed, strict=True):
             yield compare(variant, share, own, vanilla)
 
@@ -200,34 +188,36 @@ def start_alike(trainer: Trainer, other: Trainer) -> None:
 def compare(variant: Variant, share: float, own: TimedSteps, vanilla: TimedSteps) -> OverheadPoint:
     """Return the point of a variant's steps and those of vanilla in the same rounds."""
     ratio = spread([a / b for a, b in zip(own.seconds, vanilla.seconds, strict=True)])
-    times = (1e3 * median(own.seconds), 1e3 * median(vanilla.seconds))
-    ratios = (ratio.median, ratio.p10, ratio.p90)
-    counts = (len(own.seconds), own.points, vanilla.points)
-    return OverheadPoint(variant.name, variant.kind, share, *times, *ratios, *counts)
+    return OverheadPoint(
+        *(variant.name, variant.kind, share),
+        *(1e3 * median(own.seconds), 1e3 * median(vanilla.seconds)),
+        *(ratio.median, ratio.p10, ratio.p90),
+        rounds=len(own.seconds),
+        points=own.points,
+        vanilla_points=vanilla.points,
+    )
 
 
 def summarize(points: Sequence[OverheadPoint]) -> list[OverheadPoint]:
-    """Return one point for each variant, its numbers the means over all shares."""
+    """Return one point for each variant, whose ratios are means over all shares."""
     summary = []
-    for name in dict.fromkeys(point.variant for point in points):
-        own = [astuple(point) for point in select(points, variant=name)]
-        means = map(mean, zip(*(values[2:] for values in own), strict=True))
-        summary.append(OverheadPoint(*own[0][:2], *means))
+    for variant in dict.fromkeys(point.variant for point in points):
+        own = select(points, variant=variant)
+        ratios = ("ratio", "ratio_p10", "ratio_p90", "points", "vanilla_points")
+        means = {name: mean(getattr(point, name) for point in own) for name in ratios}
+        summary.append(replace(own[0], **means))
     return summary
 
 
 def tabulate(
-    summary: Sequence[OverheadPoint], config: Config, scene: str, sizes: OverheadSizes
+    points: Sequence[OverheadPoint], config: Config, scene: str, sizes: OverheadSizes
 ) -> Table:
     """Return ratio, spread, points and limit of every variant."""
     rows = []
-    for line in summary:
-        span, points = (
-            f"{line.ratio_p10:.2f}-{line.ratio_p90:.2f}",
-            line.points / line.vanilla_points,
-        )
-        limit = verdict(line.ratio, *LIMITS[line.variant]) if line.variant in LIMITS else ("", "")
-        rows.append((line.variant, f"{line.ratio:.3f}", span, f"{points:.2f}", *limit))
+    for line in summarize(points):
+        evaluations, (limit, missed) = line.points / line.vanilla_points, verdict(line)
+        span = f"{line.ratio_p10:.2f}-{line.ratio_p90:.2f}"
+        rows.append((line.variant, f"{line.ratio:.3f}", span, f"{evaluations:.2f}", limit, missed))
     shares = ", ".join(f"{100 * share:g}" for share in sizes.shares)
     return build_table(
         f"Time of a training step against vanilla: {scene}, {config.train.rays} rays x "
@@ -240,14 +230,19 @@ def tabulate(
     )
 
 
-def verdict(ratio: float, least: float, most: float) -> tuple[str, str]:
-    """Return a limit, which has two digits, and whether the ratio misses it in these digits."""
+def verdict(line: OverheadPoint) -> tuple[str, str]:
+    """Return the limit of a variant, which has two digits, and whether it is missed in these."""
+    if line.variant not in LIMITS:
+        return "", ""
+    least, most = LIMITS[line.variant]
     limit = f"{least:.2f}-{most:.2f}" if least else f"{most:.2f}"
-    return limit, "" if least <= round(ratio, 2) <= most else "missed"
+    return limit, "" if least <= round(line.ratio, 2) <= most else "missed"
 
 
-def draw(summary: Sequence[OverheadPoint], stem: Path) -> list[Path]:
+def draw(points: Sequence[OverheadPoint], stem: Path) -> list[Path]:
     """Draw a bar for each variant, its spread as a line and its limits as marks."""
+    summary = summarize(points)
+    names, longest = [line.variant for line in summary], max(line.ratio_p90 for line in summary)
     with panels(1, 1, 8.0, 1.6 + 0.3 * len(summary)) as (figure, [[panel]]):
         panel.set(xscale="linear", yscale="linear")
         for row, line in enumerate(summary):
@@ -255,12 +250,9 @@ def draw(summary: Sequence[OverheadPoint], stem: Path) -> list[Path]:
             panel.plot((line.ratio_p10, line.ratio_p90), (row, row), color="black", linewidth=1.2)
             ends = [end for end in LIMITS.get(line.variant, ()) if end]
             panel.vlines(ends, row - 0.42, row + 0.42, color=PALETTE[1], linewidth=2.2, zorder=3)
-        panel.axvline(1, color=GUIDE, linestyle="--", linewidth=1.1)
-        panel.set_yticks(range(len(summary)), [line.variant for line in summary])
-        panel.set_ylim(len(summary) - 0.4, -0.6)
-        panel.set_xlim(0, 1.05 * max(1.1, *(max(line.ratio_p90, line.ratio) for line in summary)))
+        panel.axvline(1, color=GUIDE, linestyle="--")
+        panel.set_yticks(range(len(summary)), names)
+        panel.set(ylim=(len(summary) - 0.4, -0.6), xlim=(0, 1.05 * max(1.1, longest)))
         panel.set_xlabel("time of a step, vanilla = 1 (line: 10 to 90 %; red: limit)")
-        figure.suptitle(
-            "What each regularizer and each preset makes of a training step", fontsize=11.5
-        )
+        figure.suptitle("Time of a step with each regularizer and each preset", fontsize=11.5)
         return save(figure, stem)

@@ -2,46 +2,83 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import fields, is_dataclass
 from inspect import isfunction
 from statistics import mean
+from time import perf_counter
 from typing import Any
+from unittest.mock import patch
 
 from torch import Tensor
 from torch.autograd.graph import Node
 
 from nerfreg.bench.configured import step_at
-from nerfreg.bench.stopwatch import Stopwatch
 from nerfreg.hooks import Rendering, Step
 from nerfreg.registry import Hooks, Term
 from nerfreg.rendering import renderer, sampling
 from nerfreg.training import loss
 from nerfreg.training.trainer import Trainer
 
-GRID, NETWORKS, COMPOSITING = "hash grid", "networks", "compositing"
-RAYS, HOOKS, SAMPLING, OPTIMIZER, AVERAGE = (
-    "rays",
-    "hooks",
-    "sampling",
-    "optimizer",
-    "moving average",
-)
-COLOR_LOSS = "color loss"
 BACKWARD = " backward"
 """Ends the name of a part's backward pass."""
 REST = "rest"
-"""What belongs to no part: zeroing, checks, and what autograd does between the parts, such as adding up gradients."""
+"""What belongs to no part: zeroing, checks, and what autograd does between the parts, such as
+adding up gradients."""
+
+
+class Stopwatch:
+    """Adds up seconds by part; those of all parts add up to those of the outermost.
+
+    A part that is entered inside another stops the time of that one until it is left.
+    """
+
+    def __init__(self) -> None:
+        self._seconds: defaultdict[str, float] = defaultdict(float)
+        self._open: list[str] = []
+        self._since = 0.0
+
+    def enter(self, part: str) -> None:
+        """Let the time run for another part."""
+        self._credit()
+        self._open.append(part)
+
+    def leave(self) -> None:
+        """Leave the part that was entered last; the time of the one around it goes on."""
+        self._credit()
+        self._open.pop()
+
+    @contextmanager
+    def part(self, name: str) -> Iterator[None]:
+        """Enter a part for the block."""
+        self.enter(name)
+        try:
+            yield
+        finally:
+            self.leave()
+
+    def take(self) -> dict[str, float]:
+        """Return seconds by part since the last call, and begin again from 0."""
+        taken = dict(self._seconds)
+        self._seconds.clear()
+        return taken
+
+    def _credit(self) -> None:
+        now = perf_counter()
+        if self._open:
+            self._seconds[self._open[-1]] += now - self._since
+        self._since = now
 
 
 def measure_parts(trainer: Trainer, at: float, steps: int) -> dict[str, float]:
-    """Milliseconds of each part of a step at share `at` of the budget; they add up to a whole step.
+    """Return milliseconds of each part of a step at share `at` of the budget.
 
-    The mean over the middle half of `steps` steps, so that a disturbed one counts for nothing.
+    They add up to a whole step: the mean over the middle half of `steps` steps, so that a step
+    which was disturbed does not count.
     """
-    watch = Stopwatch()
-    taken = []
+    watch, taken = Stopwatch(), []
     with timed_parts(trainer, watch):
         for _ in range(steps):
             with watch.part(REST):
@@ -51,7 +88,7 @@ def measure_parts(trainer: Trainer, at: float, steps: int) -> dict[str, float]:
 
 
 def middle_mean(taken: Sequence[dict[str, float]]) -> dict[str, float]:
-    """The mean by part over those whose sum is in the middle half."""
+    """Return the mean by part over those steps whose sum is in the middle half."""
     ordered = sorted(taken, key=lambda parts: sum(parts.values()))
     middle = ordered[len(ordered) // 4 : len(ordered) - len(ordered) // 4]
     names = dict.fromkeys(name for parts in middle for name in parts)
@@ -60,74 +97,54 @@ def middle_mean(taken: Sequence[dict[str, float]]) -> dict[str, float]:
 
 @contextmanager
 def timed_parts(trainer: Trainer, watch: Stopwatch) -> Iterator[None]:
-    """Inside the block the steps of `trainer` tell the stopwatch which part they enter and leave."""
+    """Make the steps of a trainer tell a stopwatch which part they enter and leave."""
     graph = _Graph(watch)
+    losses, step = _losses_one_by_one(trainer.hooks, graph), graph.forgetting(trainer.step)
     with ExitStack() as undo:
         for owner, name, part in _seams(trainer):
-            undo.enter_context(replaced(owner, name, graph.timed(part, getattr(owner, name))))
-        undo.enter_context(
-            replaced(trainer.hooks, "losses", _losses_one_by_one(trainer.hooks, graph))
-        )
-        undo.enter_context(replaced(trainer, "step", graph.forgetting(trainer.step)))
+            timed = graph.timed(part, getattr(owner, name))
+            undo.enter_context(patch.object(owner, name, timed))
+        undo.enter_context(patch.object(trainer.hooks, "losses", losses))
+        undo.enter_context(patch.object(trainer, "step", step))
         yield
-
-
-@contextmanager
-def replaced(owner: Any, name: str, value: object) -> Iterator[None]:
-    """`owner.name` is `value` inside the block."""
-    own, before = name in vars(owner), getattr(owner, name)
-    setattr(owner, name, value)
-    try:
-        yield
-    finally:
-        if own:
-            setattr(owner, name, before)
-        else:
-            delattr(owner, name)
 
 
 def _seams(trainer: Trainer) -> Iterator[tuple[Any, str, str]]:
-    """Owner and name of each function that is a part, and what the part is called."""
-    field = trainer.field
-    yield trainer.batches, "draw", RAYS
+    """Yield owner and name of each function that is a part, and what the part is called."""
+    yield trainer.batches, "draw", "rays"
     for hook in ("needs", "ray_bounds", "encoder_input"):
-        yield trainer.hooks, hook, HOOKS
+        yield trainer.hooks, hook, "hooks"
     for name, function in vars(sampling).items():
         if isfunction(function) and getattr(renderer, name, None) is function:
-            yield renderer, name, SAMPLING
-    yield field.grid, "forward", GRID
+            yield renderer, name, "sampling"
+    yield trainer.field.grid, "forward", "hash grid"
     for name in ("raw_density", "density", "color"):
-        yield field, name, NETWORKS
+        yield trainer.field, name, "networks"
     # Whatever is left of rendering when sampling, grid and networks are taken away.
-    yield trainer.renderer, "render", COMPOSITING
-    yield loss, "color_error", COLOR_LOSS
-    yield trainer.optimizer, "step", OPTIMIZER
-    yield trainer.average, "update", AVERAGE
+    yield trainer.renderer, "render", "compositing"
+    yield loss, "color_error", "color loss"
+    yield trainer.optimizer, "step", "optimizer"
+    yield trainer.average, "update", "moving average"
 
 
 def _losses_one_by_one(hooks: Hooks, graph: _Graph) -> Callable[[Rendering, Step], list[Term]]:
-    """What `hooks.losses` returns, each plugin a part of its own."""
-    each = [
-        graph.timed(f"{name} loss", Hooks({name: plugin}).losses)
-        for name, plugin in hooks.plugins.items()
-    ]
-
-    def losses(rendering: Rendering, step: Step) -> list[Term]:
-        return [term for of_plugin in each for term in of_plugin(rendering, step)]
-
-    return losses
+    """Return what does the same as `hooks.losses`, with each plugin a part of its own."""
+    plugins = hooks.plugins.items()
+    each = [graph.timed(f"{name} loss", Hooks({name: plugin}).losses) for name, plugin in plugins]
+    return lambda rendering, step: [term for losses in each for term in losses(rendering, step)]
 
 
 class _Graph:
-    """Finds the nodes of the autograd graph that a part has made, and tells the stopwatch when they run backward."""
+    """Finds the autograd nodes that a part has made, and tells the stopwatch when they run."""
 
     def __init__(self, watch: Stopwatch) -> None:
         self._watch = watch
-        # Kept for the whole step: a node is known by its Python object, which must not be made anew.
+        # Kept for the whole step: a node is known by its Python object, which autograd would make
+        # anew if it were gone.
         self._claimed: set[Node] = set()
 
     def timed(self, part: str, function: Callable[..., Any]) -> Callable[..., Any]:
-        """The function, its time and that of its backward pass counted as those of `part`."""
+        """Count the time of a function and that of its backward pass as those of a part."""
 
         def run(*args: Any, **kwargs: Any) -> Any:
             before = set(_nodes((args, *kwargs.values())))
@@ -139,7 +156,7 @@ class _Graph:
         return run
 
     def forgetting(self, step: Callable[[], Any]) -> Callable[[], Any]:
-        """The step, after which its graph may go."""
+        """Let the graph of a step go after it."""
 
         def run() -> Any:
             try:
@@ -150,11 +167,12 @@ class _Graph:
         return run
 
     def _claim(self, part: str, last: Iterable[Node], before: set[Node]) -> None:
-        """All nodes from `last` back to those `before` them, but for what parts inside have claimed."""
+        # All nodes from `last` back to those `before` them, but for those of parts inside.
         seen, stack = set(before), list(last)
         while stack:
             node = stack.pop()
-            # A gradient that Python has seen is copied before it is kept, hence no hooks on those that keep it.
+            # A gradient that Python has seen is copied before it is kept, hence no hooks on those
+            # nodes that keep it.
             if node in seen or hasattr(node, "variable"):
                 continue
             seen.add(node)
@@ -166,10 +184,9 @@ class _Graph:
 
 
 def _nodes(value: object) -> Iterator[Node]:
-    """The nodes that made the tensors in a value, in sequences and dataclasses too."""
-    if isinstance(value, Tensor):
-        if value.grad_fn is not None:
-            yield value.grad_fn
+    """Yield the nodes that made the tensors in a value, in sequences and dataclasses too."""
+    if isinstance(value, Tensor) and value.grad_fn is not None:
+        yield value.grad_fn
     elif isinstance(value, (list, tuple)):
         for item in value:
             yield from _nodes(item)

@@ -6,6 +6,7 @@ composited.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -18,45 +19,26 @@ from jaxtyping import Float
 from rich.table import Table
 from torch import Tensor
 
-from nerfreg.analysis.curves import Curve, CurvePanel, draw_curves
+from nerfreg.analysis.curves import Dot, draw_curves
 from nerfreg.analysis.tables import build_table, numbers, select, text
 from nerfreg.bench.media import MEDIA, Medium, color, exact
 from nerfreg.bench.outcome import BenchOutcome, publish_points
-from nerfreg.bench.samplers import CELLS, SAMPLERS, Bundle, Sampled
-from nerfreg.bench.timing import CONDITIONS, median_seconds
+from nerfreg.bench.samplers import SAMPLERS, Bundle, Sampled
+from nerfreg.bench.timing import RaySizes, median_seconds
 from nerfreg.rendering.compositing import composite
 
 GOLDEN_RATIO = (1 + 5**0.5) / 2
 QUANTITIES = ("opacity", "depth", "color")
-LABELS = {
-    "uniform": "uniform, midpoints",
-    "uniform_jittered": "uniform, jittered",
-    "importance": "importance, 1/3 coarse + 2/3 fine",
-    "skipping": f"uniform, skipping empty ones of {CELLS} cells",
-}
-PLOTTED = {
-    medium.name: medium.title
-    for medium in MEDIA
-    if medium.name not in ("slab", "shell_1e2", "shell_1e4")
-}
+UNPLOTTED = ("slab", "shell_1e2", "shell_1e4")
 GOAL = 0.01
 """The colour error for which the table gives the number of samples and the time."""
 FEWEST, RESOLVED = 64, 1024
 """Samples from which on the order is fitted; in stiff media every ray must have one in a shell."""
 LOWEST = 1e-8
+"""Errors below are drawn there."""
 
-
-@dataclass(frozen=True)
-class QuadratureSizes:
-    """samples: per ray, ascending. rays: at once. repetitions: of each measurement of time."""
-
-    samples: tuple[int, ...]
-    rays: int
-    repetitions: int
-
-
-FULL = QuadratureSizes(tuple(2**k for k in range(3, 13)), rays=256, repetitions=7)
-QUICK = QuadratureSizes((8, 64, 512), rays=16, repetitions=1)
+FULL = RaySizes(tuple(2**k for k in range(3, 13)), rays=256, repetitions=7)
+QUICK = RaySizes((8, 64, 512), rays=16, repetitions=1)
 
 
 @dataclass(frozen=True)
@@ -90,19 +72,17 @@ class RayErrors:
         return value
 
 
-def run(folder: Path, sizes: QuadratureSizes) -> BenchOutcome:
+def run(folder: Path, sizes: RaySizes) -> BenchOutcome:
     """Measure all media, samplers, numbers of samples and precisions, and publish them."""
     points = [
         point
         for medium, dtype in product(MEDIA, (torch.float32, torch.float64))
         for point in measure(medium, dtype, sizes)
     ]
-    return publish_points(
-        folder / "quadrature", points, tabulate(points, sizes), partial(draw, points, sizes)
-    )
+    return publish_points(folder / "quadrature", points, tabulate(points, sizes), draw)
 
 
-def measure(medium: Medium, dtype: torch.dtype, sizes: QuadratureSizes) -> list[RayErrors]:
+def measure(medium: Medium, dtype: torch.dtype, sizes: RaySizes) -> list[RayErrors]:
     """Return one point for each sampler and number of samples."""
     # Multiples of the golden ratio are spread evenly over the slack, and over each of any number of
     # equal parts of it.
@@ -115,9 +95,8 @@ def measure(medium: Medium, dtype: torch.dtype, sizes: QuadratureSizes) -> list[
         seconds = median_seconds(calls, sizes.repetitions)
         for sampler, call, time in zip(SAMPLERS, calls, seconds, strict=True):
             sampled, *values = call()
-            spread = [n for error in _errors(medium, *values) for n in _mean_and_quantiles(error)]
-            cost = (sampled.evaluations, time / sizes.rays * 1e6)
-            points.append(RayErrors(medium.name, sampler, name, count, *cost, *spread))
+            cost, errors = (sampled.evaluations, time / sizes.rays * 1e6), _errors(medium, *values)
+            points.append(RayErrors(medium.name, sampler, name, count, *cost, *errors))
     return points
 
 
@@ -141,7 +120,8 @@ def fitted_order(
     """
     errors = [(p.samples, p.error(quantity)) for p in points if p.samples >= fewest]
     fitted = [(samples, error) for samples, error in errors if error > floor]
-    return None if len(fitted) < 3 else float(-np.polyfit(*np.log(np.array(fitted)).T, 1)[0])
+    x, y = np.log(np.array(fitted).reshape(-1, 2)).T
+    return None if len(fitted) < 3 else float(-np.polyfit(x, y, 1)[0])
 
 
 def first_below(points: Sequence[RayErrors], quantity: str, error: float) -> RayErrors | None:
@@ -154,64 +134,43 @@ def first_below(points: Sequence[RayErrors], quantity: str, error: float) -> Ray
     return good
 
 
-def tabulate(points: Sequence[RayErrors], sizes: QuadratureSizes) -> Table:
+def tabulate(points: Sequence[RayErrors], sizes: RaySizes) -> Table:
     """Return the orders of convergence in float64 and the work for a small error in float32."""
     return build_table(
         "Rendering one ray: orders of convergence; samples (µs) for 1 % colour error",
         f"Orders: uniform midpoints in float64, {sizes.samples[-1]} samples down to {FEWEST} "
         f"(stiff: {RESOLVED}). Samples: per ray in float32, from which on the error stays below. "
-        f"Times: {sizes.rays} rays at once; {CONDITIONS.format(repetitions=sizes.repetitions)}.",
+        f"Times: {sizes.rays} rays at once; {sizes.conditions}.",
         [*text("medium"), *numbers(*QUANTITIES, *(name.replace("_", "\n") for name in SAMPLERS))],
         [_row(medium, select(points, medium=medium.name)) for medium in MEDIA],
     )
 
 
-def draw(points: Sequence[RayErrors], sizes: QuadratureSizes, stem: Path) -> list[Path]:
+def draw(points: Sequence[RayErrors], stem: Path) -> list[Path]:
     """Draw errors in float32 against run time, and that of colour against evaluations as well."""
-    shown, rows = select(points, dtype="float32"), []
-    for quantity, cost in [*product(QUANTITIES, ["microseconds"]), ("color", "evaluations")]:
-        unit = "ray lengths" if quantity == "depth" else "relative"
-        label = f"{quantity.replace('color', 'colour')} error ({unit})"
-        row = []
-        for name, title in PLOTTED.items():
-            curves = {
-                text: _curve(select(shown, medium=name, sampler=sampler), quantity, cost)
-                for sampler, text in LABELS.items()
-            }
-            row.append(CurvePanel(curves, title, f"{cost} per ray", label))
-        rows.append(row)
-    title = (
-        "Rendering one ray in float32: error against run time, and (lowest row) against "
-        f"evaluations of the density\n{sizes.samples[0]} to {sizes.samples[-1]} samples per ray; "
-        "errors below $10^{-8}$ are drawn there"
-    )
-    return draw_curves(stem, rows, title, (13.5, 10.2))
+    shown = [p for p in select(points, dtype="float32") if p.medium not in UNPLOTTED]
+    dots = [
+        Dot(f"{quantity} error", p.medium, p.sampler, p.microseconds, p.error(quantity))
+        for quantity in QUANTITIES
+        for p in shown
+    ]
+    against = "color error against evaluations"
+    dots += [Dot(against, p.medium, p.sampler, p.evaluations, p.color_error) for p in shown]
+    title = "Rendering one ray in float32: error against time (µs) and (lowest row) evaluations"
+    return draw_curves(stem, dots, title, (13.5, 10.2), "per ray", (LOWEST, math.inf))
 
 
-def _curve(points: Sequence[RayErrors], quantity: str, cost: str) -> Curve:
-    shown = [point for point in points if getattr(point, cost) > 0]
-    errors = [max(point.error(quantity), LOWEST) for point in shown]
-    return [getattr(point, cost) for point in shown], errors
-
-
-def _errors(
-    medium: Medium,
-    opacity: Float[Tensor, " rays"],
-    depth: Float[Tensor, " rays"],
-    rgb: Float[Tensor, "rays 3"],
-) -> tuple[Float[Tensor, " rays"], Float[Tensor, " rays"], Float[Tensor, " rays"]]:
+def _errors(medium: Medium, opacity: Tensor, depth: Tensor, rgb: Tensor) -> list[float]:
     truth = exact(medium)
     true_color = torch.tensor(truth.color, dtype=torch.float64)
-    return (
-        (opacity.double() - truth.opacity).abs() / truth.opacity,
-        (depth.double() - truth.depth).abs(),
-        (rgb.double() - true_color).norm(dim=1) / true_color.norm(),
-    )
-
-
-def _mean_and_quantiles(error: Float[Tensor, " rays"]) -> list[float]:
-    low, high = error.quantile(error.new_tensor([0.1, 0.9])).tolist()
-    return [error.mean().item(), low, high]
+    opacity_error = (opacity.double() - truth.opacity).abs() / truth.opacity
+    depth_error = (depth.double() - truth.depth).abs()
+    color_error = (rgb.double() - true_color).norm(dim=1) / true_color.norm()
+    numbers = []
+    for error in (opacity_error, depth_error, color_error):
+        quantiles = error.quantile(error.new_tensor([0.1, 0.9]))
+        numbers += [error.mean().item(), *quantiles.tolist()]
+    return numbers
 
 
 def _row(medium: Medium, points: Sequence[RayErrors]) -> list[str]:

@@ -9,8 +9,9 @@ from itertools import cycle, islice
 from pathlib import Path
 from typing import Any
 
+from nerfreg.analysis.statistics import spread
 from nerfreg.bench.outcome import BenchOutcome, publish_record
-from nerfreg.bench.timing import seconds_of, spread
+from nerfreg.bench.timing import seconds_of
 from nerfreg.field import RadianceField
 from nerfreg.field.workers import threads
 from nerfreg.rendering.config import SamplerConfig

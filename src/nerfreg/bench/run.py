@@ -6,26 +6,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol, cast
+from typing import Any
 
 from nerfreg.files import json_text
-
-if TYPE_CHECKING:
-    from nerfreg.analysis.tables import Outcome
-
-
-class Bench(Protocol):
-    """A bench measures at given sizes, prints a table and writes files.
-
-    Attributes:
-        FULL: Its sizes, a dataclass.
-        QUICK: Sizes at which it ends within seconds.
-    """
-
-    FULL: Any
-    QUICK: Any
-
-    def run(self, folder: Path, sizes: Any, *words: tuple[str, ...]) -> Outcome: ...
 
 
 def run(
@@ -33,8 +16,11 @@ def run(
 ) -> int:
     """Run a bench, and print the files that it wrote and its record, if it has one, as JSON.
 
+    A bench is a module of this package with sizes, the dataclasses `FULL` and `QUICK`, of which the
+    second makes it end within seconds, and a function `run` that returns a `BenchOutcome`.
+
     Args:
-        name: A module of this package.
+        name: Of the module.
         folder: Where its files go.
         sizes: Fields of its sizes that are chosen.
         words: Overrides, or the folder of a run; None for a bench that takes neither.
@@ -44,7 +30,7 @@ def run(
         The exit code, 0.
     """
     # By name, so that a bench is imported only when it is run.
-    bench = cast(Bench, import_module(f"nerfreg.bench.{name}"))
+    bench: Any = import_module(f"nerfreg.bench.{name}")
     chosen = replace(bench.QUICK if quick else bench.FULL, **sizes)
     outcome = bench.run(folder, chosen, *([] if words is None else [tuple(words)]))
     for path in outcome.files:

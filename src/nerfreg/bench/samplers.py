@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import torch
 from jaxtyping import Bool, Float
@@ -18,20 +19,22 @@ from nerfreg.rendering.sampling import edges_between, importance, merge, stratif
 
 CELLS = SamplerConfig().skip_resolution
 LOOKS = 9
-"""Random points in each cell: the grid of a scene looks once into each of the 3 x 3 cells beside
-each other that count as one, and a medium is the same in all of them."""
+"""A medium that varies along the ray alone is looked at once in each of the 3 x 3 cells across that
+count as one."""
+
+
+class Sampled(NamedTuple):
+    """Samples (R, N), borders of their intervals (R, N+1), and evaluations on an average ray."""
+
+    t: Float[Tensor, "rays samples"]
+    t_edges: Float[Tensor, "rays edges"]
+    density: Float[Tensor, "rays samples"]
+    evaluations: float
 
 
 @dataclass(frozen=True)
 class Bundle:
-    """Rays through one medium, each with an occupancy grid of its own.
-
-    Attributes:
-        medium: What the rays pass through.
-        near: First ends (R,).
-        far: Last ends (R,).
-        generator: The source of randomness, on the CPU.
-    """
+    """Rays from near to far (R,) through a medium, each with an occupancy grid of its own."""
 
     medium: Medium
     near: Float[Tensor, " rays"]
@@ -53,23 +56,6 @@ class Bundle:
     def sampled(self, t: Tensor, density: Tensor, evaluations: float) -> Sampled:
         """Return samples with the intervals that belong to them."""
         return Sampled(t, edges_between(t, self.near, self.far), density, evaluations)
-
-
-@dataclass(frozen=True)
-class Sampled:
-    """Samples of rays.
-
-    Attributes:
-        t: Ascending distances (R, N).
-        t_edges: Borders of their intervals (R, N+1).
-        density: At t (R, N).
-        evaluations: How often the density was evaluated, on an average ray.
-    """
-
-    t: Float[Tensor, "rays samples"]
-    t_edges: Float[Tensor, "rays edges"]
-    density: Float[Tensor, "rays samples"]
-    evaluations: float
 
 
 def uniform(bundle: Bundle, count: int) -> Sampled:

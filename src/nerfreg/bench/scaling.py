@@ -4,21 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 from rich.table import Table
 
-from nerfreg.analysis.curves import CurvePanel, draw_curves
+from nerfreg.analysis.curves import Dot, draw_curves
+from nerfreg.analysis.statistics import spread
 from nerfreg.analysis.tables import build_table, numbers, select, text
 from nerfreg.bench.configured import TINY, StepSizes, make_trainer, set_up, time_steps
 from nerfreg.bench.outcome import BenchOutcome, announced, publish_points
-from nerfreg.bench.timing import spread
 from nerfreg.config.schema import Config
 from nerfreg.field.workers import threads
-from nerfreg.scenes.scene import Scene
 
 AT = 0.5
 """Share of the budget at which the steps are taken."""
@@ -32,7 +29,7 @@ LABELS = {
 
 @dataclass(frozen=True, kw_only=True)
 class ScalingSizes(StepSizes):
-    """values: what each of `LABELS` goes through, while everything else stays as configured."""
+    """What each of `LABELS` goes through, while everything else stays as configured."""
 
     values: Mapping[str, Sequence[int]]
 
@@ -60,60 +57,43 @@ class ScalingPoint:
     points: float
 
 
-class ScalingFit(NamedTuple):
-    """slope: p in time ~ value^p. fixed, each: of the line time = fixed + each * value, in ms.
-    off: the largest relative error of that line. Both are fitted to relative errors."""
-
-    slope: float
-    fixed: float
-    each: float
-    off: float
-
-
 def run(folder: Path, sizes: ScalingSizes, overrides: tuple[str, ...]) -> BenchOutcome:
     """Measure all values of all sizes around a configuration, and publish the points."""
     config, scene = set_up((*sizes.defaults, *overrides))
+    points = []
     cases = [(swept, value) for swept in LABELS for value in sizes.values[swept]]
-    points = [
-        measure(config, scene, swept, value, sizes)
-        for swept, value in announced(cases, lambda case: f"{case[1]} {LABELS[case[0]]}")
-    ]
+    for swept, value in announced(cases, lambda case: f"{case[1]} {LABELS[case[0]]}"):
+        trainer = make_trainer(changed(config, swept, value), scene)
+        (timed,) = time_steps([trainer], AT, sizes.warmup, sizes.steps)
+        time = spread([1e3 * seconds for seconds in timed.seconds])
+        points.append(ScalingPoint(swept, value, time.median, time.p10, time.p90, timed.points))
+        del trainer
     table = tabulate(points, config, sizes)
-    return publish_points(folder / "scaling", points, table, partial(draw, points))
-
-
-def measure(
-    config: Config, scene: Scene, swept: str, value: int, sizes: ScalingSizes
-) -> ScalingPoint:
-    """Return the time of a step in which one size has this value."""
-    trainer = make_trainer(changed(config, swept, value), scene)
-    (timed,) = time_steps([trainer], AT, sizes.warmup, sizes.steps)
-    time = spread([1e3 * seconds for seconds in timed.seconds])
-    return ScalingPoint(swept, value, time.median, time.p10, time.p90, timed.points)
+    return publish_points(folder / "scaling", points, table, draw)
 
 
 def changed(config: Config, swept: str, value: int) -> Config:
     """Return the configuration with another value of one size; half of the samples are coarse."""
-    field, sampler, train = config.field, config.sampler, config.train
     match swept:
         case "rays":
-            return replace(config, train=replace(train, rays=value))
+            return replace(config, train=replace(config.train, rays=value))
         case "samples":
-            halves = replace(sampler, coarse=value // 2, fine=value - value // 2)
+            halves = replace(config.sampler, coarse=value // 2, fine=value - value // 2)
             return replace(config, sampler=halves)
         case "levels":
-            return replace(config, field=replace(field, levels=value))
-    return replace(config, field=replace(field, log2_entries=value.bit_length() - 1))
+            return replace(config, field=replace(config.field, levels=value))
+    return replace(config, field=replace(config.field, log2_entries=value.bit_length() - 1))
 
 
-def fit(points: Sequence[ScalingPoint]) -> ScalingFit:
-    """Fit a power and a straight line to the points of one sweep."""
+def fit(points: Sequence[ScalingPoint]) -> tuple[float, list[float]]:
+    """Return p of time ~ value^p for one sweep, and the straight line's time at each value.
+
+    Both are least squares of relative errors.
+    """
     x = np.array([point.value for point in points], dtype=float)
     y = np.array([point.milliseconds for point in points])
-    slope = np.polyfit(np.log(x), np.log(y), 1)[0]
     each, fixed = np.polyfit(x, y, 1, w=1 / y)
-    off = np.abs((fixed + each * x) / y - 1).max()
-    return ScalingFit(float(slope), float(fixed), float(each), float(off))
+    return float(np.polyfit(np.log(x), np.log(y), 1)[0]), (fixed + each * x).tolist()
 
 
 def tabulate(points: Sequence[ScalingPoint], config: Config, sizes: ScalingSizes) -> Table:
@@ -121,10 +101,11 @@ def tabulate(points: Sequence[ScalingPoint], config: Config, sizes: ScalingSizes
     sampler, field, rows = config.sampler, config.field, []
     for swept, label in LABELS.items():
         own = select(points, swept=swept)
-        first, last, fitted = own[0], own[-1], fit(own)
-        times = f"{first.milliseconds:.3g} to {last.milliseconds:.3g}"
-        off = f"{100 * fitted.off:.1f} %"
-        rows.append((label, f"{first.value}", f"{last.value}", times, f"{fitted.slope:.2f}", off))
+        slope, line = fit(own)
+        off = max(abs(time / p.milliseconds - 1) for time, p in zip(line, own, strict=True))
+        times = f"{own[0].milliseconds:.3g} to {own[-1].milliseconds:.3g}"
+        ends = (f"{own[0].value}", f"{own[-1].value}")
+        rows.append((label, *ends, times, f"{slope:.2f}", f"{100 * off:.1f} %"))
     return build_table(
         f"Time of a step against its sizes: {', '.join(config.reg) or 'vanilla'}",
         f"Around {config.train.rays} rays x ({sampler.coarse} + {sampler.fine}) samples, "
@@ -138,15 +119,11 @@ def tabulate(points: Sequence[ScalingPoint], config: Config, sizes: ScalingSizes
 
 def draw(points: Sequence[ScalingPoint], stem: Path) -> list[Path]:
     """Draw the times of each sweep with their quantiles and their straight line."""
-    row = []
+    dots = []
     for swept, label in LABELS.items():
         own = select(points, swept=swept)
-        x, fitted = [point.value for point in own], fit(own)
-        curves = {
-            "median": (x, [point.milliseconds for point in own]),
-            "10 %": (x, [point.milliseconds_p10 for point in own]),
-            "90 %": (x, [point.milliseconds_p90 for point in own]),
-            "straight line": (x, [fitted.fixed + fitted.each * value for value in x]),
-        }
-        row.append(CurvePanel(curves, f"slope {fitted.slope:.2f}", label, "ms" if not row else ""))
-    return draw_curves(stem, [row], "Time of a training step against its sizes", (12.5, 3.9), 2)
+        for p, line in zip(own, fit(own)[1], strict=True):
+            times = (p.milliseconds, p.milliseconds_p10, p.milliseconds_p90, line)
+            for curve, time in zip(("median", "10 %", "90 %", "straight line"), times, strict=True):
+                dots.append(Dot("time of a step (ms)", label, curve, p.value, time))
+    return draw_curves(stem, dots, "Time of a training step against its sizes", (12.5, 3.9))

@@ -6,17 +6,19 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from time import perf_counter
 from typing import Any
+from unittest.mock import patch
 
 from rich.console import Console
 from rich.table import Table
 from torch import Tensor
 
+from nerfreg.analysis.statistics import spread
 from nerfreg.analysis.tables import build_table, numbers, text
-from nerfreg.bench.ceilings import Ceilings, measure_ceilings, step_flop
+from nerfreg.bench.ceilings import measure_ceilings, step_flop
 from nerfreg.bench.configured import TINY, StepSizes, make_trainer, set_up, step_at, time_steps
 from nerfreg.bench.outcome import BenchOutcome, publish_record
-from nerfreg.bench.parts import BACKWARD, REST, measure_parts, replaced
-from nerfreg.bench.timing import in_turns, spread
+from nerfreg.bench.parts import BACKWARD, REST, measure_parts
+from nerfreg.bench.timing import in_turns
 from nerfreg.config.schema import Config
 from nerfreg.field.fit import fitted
 from nerfreg.field.workers import threads
@@ -26,7 +28,7 @@ from nerfreg.training.memory import peak_memory_mb
 
 @dataclass(frozen=True, kw_only=True)
 class PartsSizes(StepSizes):
-    """at: share of the budget that schedules see. square, copy_mb: see `measure_ceilings`."""
+    """Share of the budget that schedules see, and the sizes of `measure_ceilings`."""
 
     at: float = 0.5
     square: int = 2048
@@ -50,8 +52,8 @@ def measure(config: Config, scene: Scene, sizes: PartsSizes) -> dict[str, Any]:
     """Build, warm up, time whole steps, then their parts, then the machine.
 
     Returns:
-        The record: times in milliseconds unless they are named otherwise; `points_per_step` and
-        `colors_per_step` count evaluations; see `rates` for the rest.
+        The record. Times are in milliseconds unless they are named otherwise; points and colours
+        are evaluations; GFLOP/s are those of the networks in the time of the whole step.
     """
     begun = perf_counter()
     trainer = make_trainer(config, scene)
@@ -65,11 +67,11 @@ def measure(config: Config, scene: Scene, sizes: PartsSizes) -> dict[str, Any]:
         colors += len(raw)
         return color(raw, harmonics, active)
 
-    with replaced(trainer.field, "color", counted):
+    with patch.object(trainer.field, "color", counted):
         (timed,) = time_steps([trainer], sizes.at, 0, sizes.steps)
     parts = measure_parts(trainer, sizes.at, sizes.steps)
     memory, time = peak_memory_mb(), spread([1e3 * seconds for seconds in timed.seconds])
-    flop = step_flop(trainer.field, timed.points, colors / sizes.steps)
+    gflops = step_flop(trainer.field, timed.points, colors / sizes.steps) / time.median / 1e6
     ceilings = measure_ceilings(sizes.square, sizes.copy_mb)
     return {
         "points_per_second": 1e3 * timed.points / time.median,
@@ -83,7 +85,9 @@ def measure(config: Config, scene: Scene, sizes: PartsSizes) -> dict[str, Any]:
         "compile_seconds": built,
         "warmup_seconds": warm,
         "threads": threads(),
-        **rates(flop, time.median, ceilings),
+        "gflops": gflops,
+        **ceilings,
+        "arithmetic_share": gflops / ceilings["ceiling_network_gflops"],
         "at": sizes.at,
         "scene": scene.name,
         "reg": list(config.reg),
@@ -92,24 +96,6 @@ def measure(config: Config, scene: Scene, sizes: PartsSizes) -> dict[str, Any]:
         "log2_entries": config.field.log2_entries,
         "levels": config.field.levels,
         "finest": config.field.finest,
-    }
-
-
-def rates(flop: float, milliseconds: float, ceilings: Ceilings) -> dict[str, float]:
-    """Return the rate of the networks' arithmetic in the time of a whole step, and the ceilings.
-
-    Args:
-        flop: Floating point operations of the networks in a step.
-        milliseconds: Of a step.
-        ceilings: `arithmetic_share` is the share of the networks' one that is reached.
-    """
-    gflops = flop / milliseconds / 1e6
-    return {
-        "gflops": gflops,
-        "ceiling_network_gflops": ceilings.network_gflops,
-        "ceiling_square_gflops": ceilings.square_gflops,
-        "ceiling_bandwidth_gb_per_second": ceilings.bandwidth_gbs,
-        "arithmetic_share": gflops / ceilings.network_gflops,
     }
 
 

@@ -9,11 +9,21 @@ from dataclasses import dataclass
 from statistics import median
 from time import perf_counter
 
-import numpy as np
 import torch
 
-CONDITIONS = "one thread; median of {repetitions} alternating repetitions after a warm-up"
-"""What the caption of every table of run times says."""
+
+@dataclass(frozen=True)
+class RaySizes:
+    """Samples per ray, ascending, rays at once, and repetitions of each measurement of time."""
+
+    samples: tuple[int, ...]
+    rays: int
+    repetitions: int
+
+    @property
+    def conditions(self) -> str:
+        """How times are measured, for the caption of a table."""
+        return f"one thread; median of {self.repetitions} alternating repetitions after a warm-up"
 
 
 def seconds_of(call: Callable[[], object]) -> float:
@@ -41,21 +51,6 @@ def median_seconds(calls: Sequence[Callable[[], object]], repetitions: int) -> l
     with _quiet():
         in_turns(calls, 1)
         return [median(seconds) for seconds in in_turns(calls, repetitions)]
-
-
-@dataclass(frozen=True)
-class Spread:
-    """Median, and the quantiles of 10 and 90 %."""
-
-    median: float
-    p10: float
-    p90: float
-
-
-def spread(values: Sequence[float]) -> Spread:
-    """Return where most of some measured values lie."""
-    p10, middle, p90 = np.quantile(values, (0.1, 0.5, 0.9)).tolist()
-    return Spread(middle, p10, p90)
 
 
 @contextmanager
