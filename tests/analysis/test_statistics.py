@@ -6,9 +6,11 @@ import pytest
 
 from nerfreg.analysis.statistics import (
     MOST_CELLS,
+    Spread,
     cells_needed,
     error_of_look,
     interval,
+    spread,
     student_quantile,
 )
 
@@ -82,3 +84,9 @@ def test_cells_needed() -> None:
     assert MOST_CELLS < 38416 and cells_needed(1.0, 0.01, 0.05) is None
     assert cells_needed(1.0, 0.0, 0.05) is None
     assert cells_needed(math.nan, 1.0, 0.05) is None
+
+
+def test_spread_of_eleven_values() -> None:
+    # 0 to 10: the quantile q lies at 10 q.
+    assert spread([float(n) for n in reversed(range(11))]) == Spread(5.0, 1.0, 9.0)
+    assert spread([4.0]) == Spread(4.0, 4.0, 4.0)

@@ -8,7 +8,6 @@ from types import SimpleNamespace
 import pytest
 
 from nerfreg.bench import configured, timing
-from nerfreg.scenes import load_scene
 from nerfreg.training.trainer import Trainer
 
 SCENE = ("scene.size=24", "scene.views=3", "scene.test_views=2", "train.threads=1")
@@ -19,9 +18,8 @@ def make() -> Callable[..., Trainer]:
     """A tiny trainer of a configuration."""
 
     def make(*overrides: str) -> Trainer:
-        config = configured.compose((*configured.TINY, *SCENE, *overrides))
-        configured.prepare_cpu(config)
-        return configured.make_trainer(config, load_scene(config.scene))
+        config, scene = configured.set_up((*configured.TINY, *SCENE, *overrides))
+        return configured.make_trainer(config, scene)
 
     return make
 

@@ -2,11 +2,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
+from unittest.mock import patch
 
 import pytest
 
-from nerfreg.bench.configured import TINY, compose, prepare_cpu, step_at
-from nerfreg.bench.parts import replaced
+from nerfreg.bench.configured import TINY, compose, set_up, step_at
 from nerfreg.cli import main
 from nerfreg.errors import NerfregError
 from nerfreg.hooks import Needs, Step
@@ -21,7 +21,7 @@ def test_a_step_sees_the_share_it_is_taken_at(make: Callable[..., Trainer]) -> N
         seen.append((step.index, step.total, step.fraction))
         return Needs()
 
-    with replaced(trainer.hooks, "needs", needs):
+    with patch.object(trainer.hooks, "needs", needs):
         for share in (0.5, 0.5, 0.0, 1.0):
             step_at(trainer, share)
     # The budget in seconds, long spent, plays no part.
@@ -51,7 +51,7 @@ def test_refuses(overrides: tuple[str, ...], message: str) -> None:
 
 def test_refuses_another_device() -> None:
     with pytest.raises(NerfregError, match="device=meta: nerfreg bench measures the CPU"):
-        prepare_cpu(compose(("device=meta",)))
+        set_up(("device=meta",))
 
 
 @pytest.mark.parametrize("bench", ["step", "overhead", "scaling"])

@@ -9,11 +9,12 @@ import torch
 
 from nerfreg import Regularizer, Rendering, Step, hookimpl
 from nerfreg.bench import losses
-from nerfreg.bench.losses import PLUGIN, SMALLEST, Sizes, forward_and_backward, measure
+from nerfreg.bench.losses import PLUGIN, SMALLEST, forward_and_backward, measure
+from nerfreg.bench.timing import RaySizes
 from nerfreg.errors import NerfregError
 from nerfreg.registry import PluginInfo
 
-SIZES = Sizes((8,), rays=16, exact_rays=16, repetitions=1)
+SIZES = RaySizes((8,), rays=16, repetitions=1)
 
 
 @dataclass
@@ -85,9 +86,7 @@ def test_rivals_stand_beside_the_plugin_of_their_name() -> None:
 
 
 def test_pairs_are_left_out_where_they_take_too_much_memory() -> None:
-    points = measure(
-        info(Haze, "distortion"), Sizes((512, 513), rays=16, exact_rays=16, repetitions=1)
-    )
+    points = measure(info(Haze, "distortion"), RaySizes((512, 513), rays=16, repetitions=1))
     assert {point.samples for point in points if point.form == "all pairs"} == {512}
 
 

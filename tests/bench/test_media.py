@@ -7,7 +7,7 @@ import pytest
 import torch
 from mpmath import mp
 
-from nerfreg.bench.media import MEDIA, PHASES, Medium, Wall, Walls, color, exact
+from nerfreg.bench.media import MEDIA, PHASES, Medium, Wall, color, exact, walls
 
 
 def by_name(name: str) -> Medium:
@@ -22,7 +22,7 @@ def density(medium: Medium, t: object) -> object:
 @pytest.mark.parametrize("medium", MEDIA, ids=lambda medium: medium.name)
 @pytest.mark.parametrize("end", [0.25, 0.6005, 1.0])
 def test_thickness_is_the_integral_of_density(medium: Medium, end: float) -> None:
-    pieces = [0, *(t for t in medium.breaks() if t < end), end]
+    pieces = [0, *(t for t in medium.breaks if t < end), end]
     with mp.workdps(15):
         expected = mpmath.quad(lambda t: density(medium, t), pieces)
         # The wall's own edges take part in the rounding of the quadrature's nodes.
@@ -36,7 +36,7 @@ def test_exact_is_the_rendering_integral(medium: Medium) -> None:
     # As it is defined, of exp(-thickness) density f, which neither the closed forms nor the parts use.
     def integral(f):
         with mp.workdps(15):
-            pieces = [0, *medium.breaks(), 1]
+            pieces = [0, *medium.breaks, 1]
             return float(
                 mpmath.quad(
                     lambda t: f(t) * density(medium, t) * mpmath.exp(-medium.thickness(t)), pieces
@@ -65,7 +65,7 @@ def test_slab_by_hand() -> None:
 
 def test_an_opaque_wall_shows_its_front() -> None:
     # Light goes 1e-9 deep.
-    wall = Walls(name="wall", title="", walls=(Wall(0.25, 0.5, 1e9),))
+    wall = walls("wall", Wall(0.25, 0.5, 1e9))
     opacity, depth, rgb = exact(wall)
     assert opacity == 1
     assert depth == pytest.approx(0.25, abs=2e-9)

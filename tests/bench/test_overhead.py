@@ -8,31 +8,35 @@ from types import SimpleNamespace
 import pytest
 import torch
 from matplotlib.image import imread
+from rich.console import Console
 
-from nerfreg.bench import overhead
-from nerfreg.bench.configured import TINY, compose
+from nerfreg.bench import configured, overhead
+from nerfreg.bench.configured import TINY, TimedSteps, compose
 from nerfreg.bench.overhead import (
+    LIMITS,
     NO_MANAGER,
-    Point,
-    Sizes,
+    OverheadPoint,
+    OverheadSizes,
     Variant,
     choose,
     compare,
     measure,
     start_alike,
+    summarize,
+    tabulate,
+    verdict,
 )
-from nerfreg.bench.overhead_report import LIMITS, Limit, print_table, summarize
 from nerfreg.cli import main
 from nerfreg.errors import NerfregError
 from nerfreg.scenes import load_scene
 from nerfreg.training.trainer import Trainer
 
 SCENE = ("scene.size=24", "scene.views=3", "scene.test_views=2", "train.threads=1")
-KL = Variant("kl", "plugin", ("+reg=kl",))
+KL = Variant("kl", "plugin")
 
 
-def point(variant: str, share: float, ratio: float) -> Point:
-    return Point(
+def point(variant: str, share: float, ratio: float) -> OverheadPoint:
+    return OverheadPoint(
         variant, "plugin", share, ratio, 1.0, ratio, ratio - 0.1, ratio + 0.1, 3, 20.0, 10.0
     )
 
@@ -68,7 +72,7 @@ def test_ratio_of_each_round_to_vanilla_in_the_same_round() -> None:
     # Ratios 2, 2, 2, 2, 7: the machine's slow third round falls on both. The median of the times would say 2 as well,
     # their quantiles not: linear interpolation puts 90 % of five values 0.6 of the way from the fourth to the fifth.
     own, vanilla = [2.0, 4.0, 20.0, 6.0, 7.0], [1.0, 2.0, 10.0, 3.0, 1.0]
-    compared = compare(KL, 0.25, (own, 300.0), (vanilla, 100.0))
+    compared = compare(KL, 0.25, TimedSteps(own, 300.0), TimedSteps(vanilla, 100.0))
     assert (compared.variant, compared.kind, compared.share, compared.rounds) == (
         "kl",
         "plugin",
@@ -93,26 +97,27 @@ def test_summary_is_the_mean_over_the_shares() -> None:
     ]
     kl, mask = summarize(points)
     assert (kl.variant, mask.variant) == ("kl", "mask")
-    assert (kl.ratio, kl.p10, kl.p90) == pytest.approx((1.2, 1.1, 1.3))
+    assert (kl.ratio, kl.ratio_p10, kl.ratio_p90) == pytest.approx((1.2, 1.1, 1.3))
     assert mask.ratio == pytest.approx(0.7)
-    assert kl.points == 2.0
+    assert kl.points / kl.vanilla_points == 2.0
 
 
 def test_limits_have_two_digits() -> None:
-    assert Limit(1.03).holds(1.034) and not Limit(1.03).holds(1.036)
-    assert Limit(1.02, 0.98).holds(0.976) and not Limit(1.02, 0.98).holds(0.974)
-    assert (str(Limit(1.15)), str(Limit(1.02, 0.98))) == ("1.15", "0.98-1.02")
+    assert verdict(point("distortion", 0.5, 1.034)) == ("1.03", "")
+    assert verdict(point("distortion", 0.5, 1.036)) == ("1.03", "missed")
+    assert verdict(point(NO_MANAGER, 0.5, 0.976)) == ("0.98-1.02", "")
+    assert verdict(point(NO_MANAGER, 0.5, 0.974)) == ("0.98-1.02", "missed")
+    assert verdict(point("occlusion", 0.5, 9.0)) == ("", "")
 
 
 def test_table_names_ratio_limit_and_what_misses_it(capsys: pytest.CaptureFixture[str]) -> None:
-    summary = summarize(
-        [
-            point("combinerf", 0.5, 1.234),
-            point("distortion", 0.5, 1.01),
-            point("occlusion", 0.5, 9.0),
-        ]
-    )
-    print_table(summary, compose(()), "nowhere", Sizes((0.5,), 3, 1, 1, 1))
+    points = [
+        point("combinerf", 0.5, 1.234),
+        point("distortion", 0.5, 1.01),
+        point("occlusion", 0.5, 9.0),
+    ]
+    sizes = OverheadSizes(shares=(0.5,), steps=3, warmup=1)
+    Console().print(tabulate(points, compose(()), "nowhere", sizes))
     lines = {
         line.split()[0]: line.split()[1:]
         for line in capsys.readouterr().out.splitlines()
@@ -136,9 +141,10 @@ def test_variants_take_turns_with_vanilla_at_every_share(
         # kl takes three times as long as vanilla, and the machine is ten times slower from the fourth round on.
         clock.now += (3.0 if name == "kl" else 1.0) * (10.0 if len(order) > 9 else 1.0)
 
-    monkeypatch.setattr(overhead, "step_at", step_at)
-    sizes = Sizes(shares=(0.1, 0.9), steps=2, settling=1, warmup=1, together=2)
-    group = [KL, Variant("distortion", "plugin", ("+reg=distortion",))]
+    monkeypatch.setattr(configured, "step_at", step_at)
+    monkeypatch.setattr(overhead, "SETTLING", 1)
+    sizes = OverheadSizes(shares=(0.1, 0.9), steps=2, warmup=1)
+    group = [KL, Variant("distortion", "plugin")]
     points = list(measure(group, (*TINY, *SCENE), scene, sizes))
     names = ["vanilla", "kl", "distortion"]
     # One round to warm up, or to settle, and two that are timed.

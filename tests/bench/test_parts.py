@@ -2,15 +2,21 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from time import perf_counter
+from types import SimpleNamespace
 
 import pytest
 import torch
 
-from nerfreg.bench import stopwatch
+from nerfreg.bench import parts
 from nerfreg.bench.configured import step_at
-from nerfreg.bench.parts import BACKWARD, REST, measure_parts, middle_mean, replaced, timed_parts
-from nerfreg.bench.stopwatch import Stopwatch
-from nerfreg.hooks import Needs
+from nerfreg.bench.parts import (
+    BACKWARD,
+    REST,
+    Stopwatch,
+    measure_parts,
+    middle_mean,
+    timed_parts,
+)
 from nerfreg.rendering import renderer
 from nerfreg.training import loss
 from nerfreg.training.trainer import Trainer
@@ -18,13 +24,49 @@ from nerfreg.training.trainer import Trainer
 WITH_GRADIENT = ("compositing", "networks", "hash grid", "color loss")
 
 
+@pytest.fixture
+def wait(monkeypatch: pytest.MonkeyPatch):
+    clock = SimpleNamespace(now=100.0)
+    monkeypatch.setattr(parts, "perf_counter", lambda: clock.now)
+
+    def wait(seconds: float) -> None:
+        clock.now += seconds
+
+    return wait
+
+
+def test_an_inner_part_stops_the_outer_one(wait) -> None:
+    watch = Stopwatch()
+    wait(7)  # before anything is entered: nobody's
+    with watch.part("outer"):
+        wait(1)
+        with watch.part("inner"):
+            wait(2)
+            with watch.part("outer"):
+                wait(4)
+        wait(8)
+    wait(16)
+    assert watch.take() == {"outer": 1 + 4 + 8, "inner": 2}
+    assert watch.take() == {}
+
+
+def test_an_error_leaves_the_part(wait) -> None:
+    watch = Stopwatch()
+    with watch.part("outer"):
+        with pytest.raises(ValueError), watch.part("inner"):
+            wait(1)
+            raise ValueError
+        wait(2)
+    assert watch.take() == {"outer": 2, "inner": 1}
+
+
 def test_every_part_of_a_step_is_met_forward_and_backward(make: Callable[..., Trainer]) -> None:
-    parts = measure_parts(make("+reg=[distortion,annealing]"), at=0.5, steps=4)
+    measured = measure_parts(make("+reg=[distortion,annealing]"), at=0.5, steps=4)
     without = {"hooks", "rays", "sampling", "optimizer", "moving average", "annealing loss", REST}
     gradients = {*WITH_GRADIENT, "distortion loss"}
-    assert set(parts) == without | gradients | {f"{name}{BACKWARD}" for name in gradients}
+    assert set(measured) == without | gradients | {f"{name}{BACKWARD}" for name in gradients}
     # Each of them does something in every step, but for annealing, which has no loss.
-    assert all(parts[part] > 0 for part in parts)
+    assert all(milliseconds > 0 for milliseconds in measured.values())
 
 
 def test_the_parts_add_up_to_the_step(make: Callable[..., Trainer]) -> None:
@@ -76,7 +118,7 @@ def test_backward_time_belongs_to_the_part_that_went_forward(
 ) -> None:
     # A colour loss whose gradient takes long: nothing else may be charged with it.
     clock = [0.0]
-    monkeypatch.setattr(stopwatch, "perf_counter", lambda: clock[0])
+    monkeypatch.setattr(parts, "perf_counter", lambda: clock[0])
 
     class Slow(torch.autograd.Function):
         @staticmethod
@@ -103,11 +145,3 @@ def test_the_middle_half_counts() -> None:
     taken = [{"a": 100.0}, {"a": 1.0, "b": 2.0}, {"a": 20.0}, {"a": 4.0, "b": 4.0}]
     assert middle_mean(taken) == {"a": 12.0, "b": 2.0}
     assert middle_mean([{"a": 2.0}]) == {"a": 2.0}
-
-
-def test_replaced_even_after_an_error() -> None:
-    needs = Needs()
-    with pytest.raises(ValueError), replaced(Needs, "patch_size", 7):
-        assert needs.__class__.patch_size == 7
-        raise ValueError
-    assert Needs.patch_size == 0

@@ -6,20 +6,21 @@ import pytest
 import torch
 
 from nerfreg.bench.media import MEDIA, exact
-from nerfreg.bench.quadrature import Point, Sizes, first_below, fitted_order, measure, render
+from nerfreg.bench.quadrature import RayErrors, first_below, fitted_order, measure, render
 from nerfreg.bench.samplers import Bundle
+from nerfreg.bench.timing import RaySizes
 
-SIZES = Sizes((64, 128, 256, 512), rays=16, repetitions=1)
+SIZES = RaySizes((64, 128, 256, 512), rays=16, repetitions=1)
 
 
-def points(name: str, sizes: Sizes = SIZES, sampler: str = "uniform") -> list[Point]:
+def points(name: str, sizes: RaySizes = SIZES, sampler: str = "uniform") -> list[RayErrors]:
     medium = next(medium for medium in MEDIA if medium.name == name)
     return [point for point in measure(medium, torch.float64, sizes) if point.sampler == sampler]
 
 
-def point(samples: int, error: float) -> Point:
-    values = {field.name: error for field in fields(Point)}
-    return Point(**values | {"medium": "", "sampler": "", "dtype": "", "samples": samples})
+def point(samples: int, error: float) -> RayErrors:
+    values = {field.name: error for field in fields(RayErrors)}
+    return RayErrors(**values | {"medium": "", "sampler": "", "dtype": "", "samples": samples})
 
 
 @pytest.mark.parametrize("name", ["exponential", "gaussian_bump"])
@@ -38,7 +39,7 @@ def test_slab() -> None:
 
 def test_a_shell_between_two_samples_is_not_there() -> None:
     # Half of the rays, evenly spread over an interval of 1/384, have a sample in the shell of 1/768.
-    sizes = Sizes((384,), rays=384, repetitions=1)
+    sizes = RaySizes((384,), rays=384, repetitions=1)
     (measured,) = points("shell_1e6", sizes)
     assert measured.opacity_error == pytest.approx(1 / 2, abs=0.03)
 
@@ -47,7 +48,7 @@ def test_a_thin_shell_that_is_hit_counts_whole_intervals() -> None:
     # Optical thickness is that of n whole intervals, n / 1024 instead of 1 / 768: 3/4 n of the truth. One hit on two
     # thirds of the rays, two on one third: mean error 2/3 * 1/4 + 1/3 * 1/2 = 1/3. A quarter as much for 4096: 5 hits
     # on two thirds, 6 on one.
-    sizes = Sizes((1024, 4096), rays=400, repetitions=1)
+    sizes = RaySizes((1024, 4096), rays=400, repetitions=1)
     coarse, fine = points("shell_1e0", sizes)
     assert coarse.opacity_error == pytest.approx(1 / 3, rel=0.02)
     assert fine.opacity_error == pytest.approx(1 / 12, rel=0.05)
@@ -59,7 +60,7 @@ def test_errors_are_those_of_the_rendering() -> None:
     _, opacity, depth, rgb = render(rays, "uniform", 16)
     truth = exact(medium)
     (measured,) = [
-        p for p in measure(medium, torch.float32, Sizes((16,), 4, 1)) if p.sampler == "uniform"
+        p for p in measure(medium, torch.float32, RaySizes((16,), 4, 1)) if p.sampler == "uniform"
     ]
     assert measured.opacity_error == pytest.approx(
         abs(opacity.item() - truth.opacity) / truth.opacity, rel=1e-3
@@ -74,7 +75,7 @@ def test_errors_are_those_of_the_rendering() -> None:
 
 
 def test_the_default_type_is_left_as_it_was() -> None:
-    points("slab", Sizes((8,), rays=4, repetitions=1))
+    points("slab", RaySizes((8,), rays=4, repetitions=1))
     assert torch.get_default_dtype() == torch.float32
 
 

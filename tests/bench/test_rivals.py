@@ -5,20 +5,21 @@ from __future__ import annotations
 import pytest
 import torch
 
-from nerfreg.bench.inputs import INPUTS, Input
-from nerfreg.bench.losses import PLUGIN, Sizes, forward_and_backward, measure
-from nerfreg.bench.rivals import RIVALS, Rival
+from nerfreg.bench.inputs import INPUTS, LossInput
+from nerfreg.bench.losses import PLUGIN, forward_and_backward, measure
+from nerfreg.bench.rivals import RIVALS
+from nerfreg.bench.timing import RaySizes
 from nerfreg.hooks import Step
 from nerfreg.registry import Hooks, installed
 
 CASES = [
-    pytest.param(name, rival, id=f"{name}: {rival.name}")
-    for name in RIVALS
-    for rival in RIVALS[name]
+    pytest.param(name, loss, id=f"{name}: {form}")
+    for name, forms in RIVALS.items()
+    for form, loss in forms.items()
 ]
 
 
-def given(name: str) -> Input:
+def given(name: str) -> LossInput:
     return next(given for given in INPUTS if given.name == name)
 
 
@@ -29,11 +30,11 @@ def own_loss(name: str):
     return lambda rendering: hooks.losses(rendering, step)[0].value
 
 
-@pytest.mark.parametrize(("name", "rival"), CASES)
-def test_agrees_with_the_plugin_forward_and_backward(name: str, rival: Rival) -> None:
+@pytest.mark.parametrize(("name", "loss"), CASES)
+def test_agrees_with_the_plugin_forward_and_backward(name: str, loss) -> None:
     rendering = given("benign").rendering(32, 24, torch.float64)
     value, gradients = forward_and_backward(own_loss(name), rendering)
-    other, others = forward_and_backward(rival.loss, rendering)
+    other, others = forward_and_backward(loss, rendering)
     # 1e-10 is added to numbers of the order 1 / N, at most.
     torch.testing.assert_close(other, value, rtol=1e-7, atol=0.0)
     total = sum(gradient.sum() for gradient in _common(gradients, others)[0])
@@ -64,7 +65,7 @@ def _common(gradients, others):
 )
 def test_loses_digits_that_the_plugin_keeps(plugin: str, form: str, on: str, lost: float) -> None:
     (info,) = [info for info in installed() if info.name == plugin]
-    points = measure(info, Sizes((32,), rays=16, exact_rays=16, repetitions=1))
+    points = measure(info, RaySizes((32,), rays=16, repetitions=1))
 
     def error(form: str) -> float:
         (point,) = [point for point in points if (point.form, point.input) == (form, on)]
@@ -81,5 +82,5 @@ def test_prefix_sums_against_pairs_by_hand() -> None:
     rendering.t_edges = torch.tensor([[0.0, 1.0, 3.0]]).expand(16, 3)
     rendering.weights = torch.tensor([[0.5, 0.25]]).expand(16, 2)
     rendering.depth = torch.full((16,), 2.0)
-    for rival in RIVALS["distortion"]:
-        assert rival.loss(rendering).item() == pytest.approx(0.25)
+    for loss in RIVALS["distortion"].values():
+        assert loss(rendering).item() == pytest.approx(0.25)

@@ -4,7 +4,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from nerfreg.bench.media import Wall, Walls
+from nerfreg.bench.media import Medium, Wall, walls
 from nerfreg.bench.samplers import (
     CELLS,
     SAMPLERS,
@@ -15,12 +15,12 @@ from nerfreg.bench.samplers import (
     uniform,
 )
 
-SLAB = Walls(name="slab", title="", walls=(Wall(0.0, 1.0, 3.0),))
+SLAB = walls("slab", Wall(0.0, 1.0, 3.0))
 # Six cells of the occupancy grid, found by the first look in any of them.
-BLOCK = Walls(name="block", title="", walls=(Wall(64 / CELLS, 70 / CELLS, 500.0),))
+BLOCK = walls("block", Wall(64 / CELLS, 70 / CELLS, 500.0))
 
 
-def bundle(medium: Walls, rays: int = 3) -> Bundle:
+def bundle(medium: Medium, rays: int = 3) -> Bundle:
     return Bundle(medium, torch.zeros(rays), torch.ones(rays), torch.Generator().manual_seed(0))
 
 
@@ -69,6 +69,6 @@ def test_skipping_evaluates_occupied_cells_and_their_neighbours() -> None:
 
 def test_skipping_may_lose_a_wall_thinner_than_a_cell() -> None:
     # Nine looks miss a sixth of a cell with probability (5/6)^9 = 0.19 (binomial spread over 400 rays: 0.02).
-    thin = Walls(name="thin", title="", walls=(Wall(64.4 / CELLS, (64.4 + 1 / 6) / CELLS, 1e4),))
+    thin = walls("thin", Wall(64.4 / CELLS, (64.4 + 1 / 6) / CELLS, 1e4))
     found = bundle(thin, 400).occupied.any(dim=1).float().mean()
     assert found.item() == pytest.approx(0.81, abs=0.08)

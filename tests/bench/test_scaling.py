@@ -7,57 +7,42 @@ import pytest
 from matplotlib.image import imread
 
 from nerfreg.bench.configured import compose
-from nerfreg.bench.scaling import Point, Sizes, fit, sweeps
+from nerfreg.bench.scaling import ScalingPoint, changed, fit
 from nerfreg.cli import main
 
 
-def point(value: int, milliseconds: float) -> Point:
-    return Point("rays", value, milliseconds, milliseconds, milliseconds, 1.0)
+def point(value: int, milliseconds: float) -> ScalingPoint:
+    return ScalingPoint("rays", value, milliseconds, milliseconds, milliseconds, 1.0)
 
 
 def test_fit_of_a_power_and_of_a_line() -> None:
     # y = 2 x: slope 1, through the origin.
-    line = fit([point(n, 2.0 * n) for n in (1, 2, 4, 8)])
-    assert (line.slope, line.fixed, line.each, line.off) == pytest.approx((1, 0, 2, 0), abs=1e-9)
+    slope, line = fit([point(n, 2.0 * n) for n in (1, 2, 4, 8)])
+    assert slope == pytest.approx(1)
+    assert line == pytest.approx([2, 4, 8, 16])
     # y = 10 + 3 x is a straight line, but no power.
-    line = fit([point(n, 10 + 3.0 * n) for n in (1, 10, 100)])
-    assert (line.fixed, line.each, line.off) == pytest.approx((10, 3, 0), abs=1e-9)
-    assert 0 < line.slope < 1
+    slope, line = fit([point(n, 10 + 3.0 * n) for n in (1, 10, 100)])
+    assert line == pytest.approx([13, 40, 310])
+    assert 0 < slope < 1
     # y = x^2 is a power, but no straight line.
-    square = fit([point(n, float(n**2)) for n in (1, 2, 4, 8)])
-    assert square.slope == pytest.approx(2)
-    assert square.off > 0.1
+    slope, line = fit([point(n, float(n**2)) for n in (1, 2, 4, 8)])
+    assert slope == pytest.approx(2)
+    assert max(abs(y / n**2 - 1) for n, y in zip((1, 2, 4, 8), line, strict=True)) > 0.1
 
 
 def test_one_thing_is_swept_at_a_time() -> None:
-    config = compose(
-        (
-            "train.rays=100",
-            "sampler.coarse=8",
-            "sampler.fine=8",
-            "field.levels=4",
-            "field.log2_entries=9",
-        )
-    )
-    sizes = Sizes(rays=(50,), samples=(7,), levels=(2,), log2_entries=(12,), steps=1, warmup=1)
-    made = [
-        (
-            swept,
-            value,
-            c.train.rays,
-            c.sampler.coarse,
-            c.sampler.fine,
-            c.field.levels,
-            c.field.log2_entries,
-        )
-        for swept, value, c in sweeps(config, sizes)
-    ]
-    assert made == [
-        ("rays", 50, 50, 8, 8, 4, 9),
-        ("samples", 7, 100, 3, 4, 4, 9),
-        ("levels", 2, 100, 8, 8, 2, 9),
-        ("entries", 4096, 100, 8, 8, 4, 12),
-    ]
+    sampler = ("sampler.coarse=8", "sampler.fine=8")
+    config = compose(("train.rays=100", *sampler, "field.levels=4", "field.log2_entries=9"))
+
+    def sizes(swept: str, value: int) -> tuple[int, ...]:
+        c = changed(config, swept, value)
+        field = (c.field.levels, c.field.log2_entries)
+        return (c.train.rays, c.sampler.coarse, c.sampler.fine, *field)
+
+    assert sizes("rays", 50) == (50, 8, 8, 4, 9)
+    assert sizes("samples", 7) == (100, 3, 4, 4, 9)
+    assert sizes("levels", 2) == (100, 8, 8, 2, 9)
+    assert sizes("entries", 4096) == (100, 8, 8, 4, 12)
 
 
 def test_command(

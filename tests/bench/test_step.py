@@ -5,10 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from nerfreg.bench.ceilings import Ceilings
-from nerfreg.bench.configured import compose
-from nerfreg.bench.step import Measured
-from nerfreg.bench.timing import Spread
+from nerfreg.bench import step
+from nerfreg.bench.configured import TINY, TimedSteps, set_up
 from nerfreg.cli import main
 
 SCENE = ("scene.size=24", "scene.views=3", "scene.test_views=2", "train.threads=1")
@@ -63,24 +61,16 @@ def test_the_last_line_is_json(
     assert json.loads(Path("bench/step/step.json").read_text()) == record
 
 
-def test_rates_follow_from_what_was_measured() -> None:
-    measured = Measured(
-        scene="nowhere",
-        config=compose(()),
-        at=0.5,
-        milliseconds=Spread(200.0, 100.0, 300.0),
-        parts={},
-        points=30000.0,
-        colors=10.0,
-        flop=4e9,
-        memory_mb=1.4,
-        compile_seconds=1.0,
-        warmup_seconds=2.0,
-        threads=2,
-        ceilings=Ceilings(80.0, 100.0, 10.0),
-    )
-    record = measured.record()
-    # 30000 points in 0.2 s; 4 GFLOP in 0.2 s are 20 GFLOP/s, a quarter of what the networks' products reach.
+def test_rates_follow_from_what_was_measured(monkeypatch: pytest.MonkeyPatch) -> None:
+    ceilings = {"ceiling_network_gflops": 80.0}
+    monkeypatch.setattr(step, "time_steps", lambda *_: [TimedSteps([0.1, 0.2, 0.3], 30000.0)])
+    monkeypatch.setattr(step, "step_flop", lambda *_: 4e9)
+    monkeypatch.setattr(step, "measure_ceilings", lambda *_: ceilings)
+    monkeypatch.setattr(step, "peak_memory_mb", lambda: 1.4)
+    record = step.measure(*set_up((*TINY, *SCENE)), step.QUICK)
+    # 30000 points in 0.2 s; 4 GFLOP in 0.2 s are 20 GFLOP/s, a quarter of what the networks'
+    # products reach.
+    assert record["ms"] == pytest.approx(200)
     assert record["points_per_second"] == pytest.approx(150000)
     assert record["gflops"] == pytest.approx(20)
     assert record["arithmetic_share"] == pytest.approx(0.25)

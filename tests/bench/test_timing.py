@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from nerfreg.bench import timing
-from nerfreg.bench.timing import Spread, in_turns, median_seconds, spread
+from nerfreg.bench.timing import in_turns, median_seconds
 
 
 def test_calls_take_turns_after_a_warm_up() -> None:
@@ -53,9 +53,3 @@ def test_rounds_are_kept_apart(clock: SimpleNamespace) -> None:
         [1.0, 2.0, 3.0],
         [10.0, 20.0, 30.0],
     ]
-
-
-def test_spread_of_eleven_values() -> None:
-    # 0 to 10: the quantile q lies at 10 q.
-    assert spread([float(n) for n in reversed(range(11))]) == Spread(5.0, 1.0, 9.0)
-    assert spread([4.0]) == Spread(4.0, 4.0, 4.0)

@@ -74,7 +74,9 @@ def draw_curves(
             panels_of_row[0].set_ylabel(row)
             for panel in panels_of_row:
                 panel.set_ylim(min(low for low, _ in limits), max(high for _, high in limits))
-                panel.tick_params(labelleft=panel is panels_of_row[0])
+                panel.tick_params(which="both", labelleft=panel is panels_of_row[0])
+                panel.set_xscale("log", base=2)
+                panel.xaxis.set_major_formatter(lambda value, _: f"{value:g}")
         for index, column in enumerate(columns):
             axes[0][index].set_title(column)
             axes[-1][index].set_xlabel(xlabel)

@@ -156,8 +156,9 @@ def draw(points: Sequence[RayErrors], stem: Path) -> list[Path]:
     ]
     against = "color error against evaluations"
     dots += [Dot(against, p.medium, p.sampler, p.evaluations, p.color_error) for p in shown]
-    title = "Rendering one ray in float32: error against time (µs) and (lowest row) evaluations"
-    return draw_curves(stem, dots, title, (13.5, 10.2), "per ray", (LOWEST, math.inf))
+    title = "Rendering one ray in float32: error against time, and (lowest row) against evaluations"
+    xlabel = "time (µs) or evaluations per ray"
+    return draw_curves(stem, dots, title, (13.5, 10.2), xlabel, (LOWEST, math.inf))
 
 
 def _errors(medium: Medium, opacity: Tensor, depth: Tensor, rgb: Tensor) -> list[float]:

@@ -61,13 +61,13 @@ class Bundle:
 def uniform(bundle: Bundle, count: int) -> Sampled:
     """Sample the midpoints of equal parts."""
     t = stratified(bundle.near, bundle.far, count)
-    return bundle.sampled(t, bundle.medium.density(t), count)
+    return bundle.sampled(t, bundle.medium.density(t), float(count))
 
 
 def jittered(bundle: Bundle, count: int) -> Sampled:
     """Sample anywhere in equal parts, as in training."""
     t = stratified(bundle.near, bundle.far, count, generator=bundle.generator)
-    return bundle.sampled(t, bundle.medium.density(t), count)
+    return bundle.sampled(t, bundle.medium.density(t), float(count))
 
 
 def by_importance(bundle: Bundle, count: int) -> Sampled:
@@ -78,7 +78,7 @@ def by_importance(bundle: Bundle, count: int) -> Sampled:
     fine = importance(edges, integrate(first, edges).weights, count - coarse.shape[1])
     t, order = merge(coarse, fine)
     density = torch.cat([first, bundle.medium.density(fine)], dim=1).gather(1, order)
-    return bundle.sampled(t, density, count)
+    return bundle.sampled(t, density, float(count))
 
 
 def skipping(bundle: Bundle, count: int) -> Sampled:
