@@ -83,6 +83,7 @@ def add_bench(verbs: Any) -> None:
     for name, (help, takes, own) in options.items():
         usage = {"overrides": "[OVERRIDE ...] [options]", "run": "RUN [options]"}
         bench = add_verb(benches, name, help, usage.get(takes, "[options]"))
+        bench.set_defaults(bench=name)
         if takes == "overrides":
             add_overrides(bench)
         elif takes == "run":
