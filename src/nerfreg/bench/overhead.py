@@ -14,7 +14,6 @@ from statistics import mean, median
 
 import torch
 from rich.table import Table
-from torch import Tensor, nn
 
 from nerfreg.analysis.figures import GUIDE, PALETTE, panels, save
 from nerfreg.analysis.statistics import spread
@@ -27,8 +26,8 @@ from nerfreg.config.search_path import options
 from nerfreg.errors import NerfregError, nearest
 from nerfreg.field.layers import Linear
 from nerfreg.field.workers import threads
-from nerfreg.hooks import Needs, Rays, Rendering, Samples, Step
-from nerfreg.registry import Hooks, Term, installed
+from nerfreg.hooks import Needs
+from nerfreg.registry import Hooks, installed
 from nerfreg.scenes.scene import Scene
 from nerfreg.training.trainer import Trainer
 
@@ -46,10 +45,8 @@ LIMITS: dict[str, tuple[float, float]] = {
     **dict.fromkeys(("distortion", "full_geometry", "depth_smoothness", "entropy"), (0.0, 1.03)),
 }
 """The least and the most that a variant's ratio to vanilla may be; the others have no limit."""
-SETTLING = 5
-"""Steps after moving to another share that are not timed."""
-TOGETHER = 4
-"""Variants that are in memory at the same time, beside vanilla."""
+SETTLING, TOGETHER = 5, 4
+"""Steps that are not timed after moving to another share; variants in memory beside vanilla."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -64,27 +61,6 @@ FULL = OverheadSizes(shares=(0.05, 0.25, 0.5, 0.75, 0.95), steps=20, warmup=60)
 QUICK = OverheadSizes(shares=(0.05, 0.5), steps=2, warmup=1, defaults=TINY)
 
 
-class _WithoutManager(Hooks):
-    # The core as it would be if there were no plugins to look for.
-
-    def needs(self, step: Step) -> Needs:
-        return Needs()
-
-    def layer(
-        self, network: str, index: int, in_features: int, out_features: int, activation: str
-    ) -> nn.Module:
-        return Linear(in_features, out_features, activation)
-
-    def ray_bounds(self, rays: Rays, step: Step) -> tuple[Tensor, Tensor]:
-        return rays.near, rays.far
-
-    def encoder_input(self, samples: Samples, step: Step) -> Samples:
-        return samples
-
-    def losses(self, rendering: Rendering, step: Step) -> list[Term]:
-        return []
-
-
 @dataclass(frozen=True)
 class Variant:
     """The core, or a plugin or preset, which its name selects."""
@@ -96,7 +72,16 @@ class Variant:
         """Return a trainer of the variant on a scene that is loaded already."""
         choice = [] if self.kind == CORE else [f"+reg={self.name}"]
         config = configured.compose((*overrides, f"scene.layout={scene.layout}", *choice))
-        hooks = _WithoutManager() if self.name == NO_MANAGER else Hooks(config.reg)
+        hooks = Hooks(config.reg)
+        if self.name == NO_MANAGER:
+            # The core as it would be if there were no plugins to look for.
+            vars(hooks).update(
+                needs=lambda step: Needs(),
+                layer=lambda network, index, *sizes: Linear(*sizes),
+                ray_bounds=lambda rays, step: (rays.near, rays.far),
+                encoder_input=lambda samples, step: samples,
+                losses=lambda rendering, step: [],
+            )
         return configured.make_trainer(config, scene, hooks)
 
 

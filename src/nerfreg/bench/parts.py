@@ -78,8 +78,8 @@ def measure_parts(trainer: Trainer, at: float, steps: int) -> dict[str, float]:
     They add up to a whole step: the mean over the middle half of `steps` steps, so that a step
     which was disturbed does not count.
     """
-    watch, taken = Stopwatch(), []
-    with timed_parts(trainer, watch):
+    taken = []
+    with timed_parts(trainer) as watch:
         for _ in range(steps):
             with watch.part(REST):
                 step_at(trainer, at)
@@ -96,17 +96,25 @@ def middle_mean(taken: Sequence[dict[str, float]]) -> dict[str, float]:
 
 
 @contextmanager
-def timed_parts(trainer: Trainer, watch: Stopwatch) -> Iterator[None]:
-    """Make the steps of a trainer tell a stopwatch which part they enter and leave."""
-    graph = _Graph(watch)
-    losses, step = _losses_one_by_one(trainer.hooks, graph), graph.forgetting(trainer.step)
+def timed_parts(trainer: Trainer) -> Iterator[Stopwatch]:
+    """Make the steps of a trainer tell a stopwatch which part they enter and leave.
+
+    What is kept of a step is let go when the time is taken, which has to be done after each.
+    """
+    watch = _GraphStopwatch()
+    plugins = trainer.hooks.plugins.items()
+    each = [watch.timed(f"{name} loss", Hooks({name: plugin}).losses) for name, plugin in plugins]
+
+    def losses(rendering: Rendering, step: Step) -> list[Term]:
+        # The same as those of all plugins together, but each is a part.
+        return [term for one in each for term in one(rendering, step)]
+
     with ExitStack() as undo:
         for owner, name, part in _seams(trainer):
-            timed = graph.timed(part, getattr(owner, name))
+            timed = watch.timed(part, getattr(owner, name))
             undo.enter_context(patch.object(owner, name, timed))
         undo.enter_context(patch.object(trainer.hooks, "losses", losses))
-        undo.enter_context(patch.object(trainer, "step", step))
-        yield
+        yield watch
 
 
 def _seams(trainer: Trainer) -> Iterator[tuple[Any, str, str]]:
@@ -127,44 +135,31 @@ def _seams(trainer: Trainer) -> Iterator[tuple[Any, str, str]]:
     yield trainer.average, "update", "moving average"
 
 
-def _losses_one_by_one(hooks: Hooks, graph: _Graph) -> Callable[[Rendering, Step], list[Term]]:
-    """Return what does the same as `hooks.losses`, with each plugin a part of its own."""
-    plugins = hooks.plugins.items()
-    each = [graph.timed(f"{name} loss", Hooks({name: plugin}).losses) for name, plugin in plugins]
-    return lambda rendering, step: [term for losses in each for term in losses(rendering, step)]
+class _GraphStopwatch(Stopwatch):
+    """Finds the autograd nodes that a part has made, and knows when they run backward."""
 
-
-class _Graph:
-    """Finds the autograd nodes that a part has made, and tells the stopwatch when they run."""
-
-    def __init__(self, watch: Stopwatch) -> None:
-        self._watch = watch
+    def __init__(self) -> None:
+        super().__init__()
         # Kept for the whole step: a node is known by its Python object, which autograd would make
         # anew if it were gone.
-        self._claimed: set[Node] = set()
+        self.claimed: set[Node] = set()
 
     def timed(self, part: str, function: Callable[..., Any]) -> Callable[..., Any]:
         """Count the time of a function and that of its backward pass as those of a part."""
 
         def run(*args: Any, **kwargs: Any) -> Any:
             before = set(_nodes((args, *kwargs.values())))
-            with self._watch.part(part):
+            with self.part(part):
                 result = function(*args, **kwargs)
             self._claim(f"{part}{BACKWARD}", _nodes(result), before)
             return result
 
         return run
 
-    def forgetting(self, step: Callable[[], Any]) -> Callable[[], Any]:
-        """Let the graph of a step go after it."""
-
-        def run() -> Any:
-            try:
-                return step()
-            finally:
-                self._claimed.clear()
-
-        return run
+    def take(self) -> dict[str, float]:
+        """Let the graph of the step go, too."""
+        self.claimed.clear()
+        return super().take()
 
     def _claim(self, part: str, last: Iterable[Node], before: set[Node]) -> None:
         # All nodes from `last` back to those `before` them, but for those of parts inside.
@@ -177,10 +172,10 @@ class _Graph:
                 continue
             seen.add(node)
             stack += [earlier for earlier, _ in node.next_functions if earlier is not None]
-            if node not in self._claimed:
-                self._claimed.add(node)
-                node.register_prehook(lambda _: self._watch.enter(part))
-                node.register_hook(lambda *_: self._watch.leave())
+            if node not in self.claimed:
+                self.claimed.add(node)
+                node.register_prehook(lambda _: self.enter(part))
+                node.register_hook(lambda *_: self.leave())
 
 
 def _nodes(value: object) -> Iterator[Node]:
