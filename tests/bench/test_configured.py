@@ -6,8 +6,9 @@ from unittest.mock import patch
 
 import pytest
 
-from nerfreg.bench.configured import TINY, compose, set_up, step_at
+from nerfreg.bench.configured import TINY, set_up, step_at
 from nerfreg.cli import main
+from nerfreg.config.compose import compose
 from nerfreg.errors import NerfregError
 from nerfreg.hooks import Needs, Step
 from nerfreg.training.trainer import Trainer
@@ -44,7 +45,7 @@ def test_what_the_command_line_says_wins_over_tiny_sizes() -> None:
 )
 def test_refuses(overrides: tuple[str, ...], message: str) -> None:
     with pytest.raises(NerfregError) as caught:
-        compose(overrides)
+        set_up(overrides)
     assert message in str(caught.value)
     assert "\n" not in str(caught.value)
 

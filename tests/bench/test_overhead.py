@@ -11,7 +11,7 @@ from matplotlib.image import imread
 from rich.console import Console
 
 from nerfreg.bench import configured, overhead
-from nerfreg.bench.configured import TINY, TimedSteps, compose
+from nerfreg.bench.configured import TINY, TimedSteps
 from nerfreg.bench.overhead import (
     LIMITS,
     NO_MANAGER,
@@ -27,6 +27,7 @@ from nerfreg.bench.overhead import (
     verdict,
 )
 from nerfreg.cli import main
+from nerfreg.config.compose import compose
 from nerfreg.errors import NerfregError
 from nerfreg.scenes import load_scene
 from nerfreg.training.trainer import Trainer

@@ -6,9 +6,9 @@ from pathlib import Path
 import pytest
 from matplotlib.image import imread
 
-from nerfreg.bench.configured import compose
 from nerfreg.bench.scaling import ScalingPoint, changed, fit
 from nerfreg.cli import main
+from nerfreg.config.compose import compose
 
 
 def point(value: int, milliseconds: float) -> ScalingPoint:

@@ -7,8 +7,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 from nerfreg.bench.timing import in_turns
-from nerfreg.config.compose import compose as compose_config
-from nerfreg.config.compose import require_steps
+from nerfreg.config.compose import compose, require_steps
 from nerfreg.config.schema import Config
 from nerfreg.errors import NerfregError
 from nerfreg.registry import Hooks, Term
@@ -42,25 +41,16 @@ class TimedSteps:
     points: float
 
 
-def compose(overrides: Sequence[str]) -> Config:
-    """Return the configuration that `nerfreg train` would run, if a bench can measure it.
-
-    Raises:
-        NerfregError: The overrides cannot be composed, or leave the number of steps open.
-    """
-    config = compose_config(overrides)
-    require_steps(config)
-    return config
-
-
 def set_up(overrides: Sequence[str]) -> tuple[Config, Scene]:
     """Return a configuration and its scene, in a process that is ready to train with it.
 
     Raises:
-        NerfregError: See `compose`; or the device is not the CPU, or the scene cannot be loaded.
+        NerfregError: The overrides cannot be composed, leave the number of steps open or ask for
+            another device than the CPU; or the scene cannot be loaded.
     """
     keep_large_blocks()
     config = compose(overrides)
+    require_steps(config)
     if prepare(config).type != "cpu":
         raise NerfregError(
             f"device={config.device}: nerfreg bench measures the CPU; set device=cpu"

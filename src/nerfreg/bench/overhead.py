@@ -21,6 +21,7 @@ from nerfreg.analysis.tables import build_table, numbers, select, text
 from nerfreg.bench import configured
 from nerfreg.bench.configured import TINY, StepSizes, TimedSteps
 from nerfreg.bench.outcome import BenchOutcome, announced, publish_points
+from nerfreg.config.compose import compose
 from nerfreg.config.schema import Config
 from nerfreg.config.search_path import options
 from nerfreg.errors import NerfregError, nearest
@@ -71,7 +72,7 @@ class Variant:
     def trainer(self, overrides: Sequence[str], scene: Scene) -> Trainer:
         """Return a trainer of the variant on a scene that is loaded already."""
         choice = [] if self.kind == CORE else [f"+reg={self.name}"]
-        config = configured.compose((*overrides, f"scene.layout={scene.layout}", *choice))
+        config = compose((*overrides, f"scene.layout={scene.layout}", *choice))
         hooks = Hooks(config.reg)
         if self.name == NO_MANAGER:
             # The core as it would be if there were no plugins to look for.

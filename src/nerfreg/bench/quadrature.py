@@ -10,7 +10,7 @@ import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import partial
-from itertools import product
+from itertools import product, takewhile
 from pathlib import Path
 
 import numpy as np
@@ -28,7 +28,7 @@ from nerfreg.bench.timing import RaySizes, median_seconds
 from nerfreg.rendering.compositing import composite
 
 GOLDEN_RATIO = (1 + 5**0.5) / 2
-QUANTITIES = ("opacity", "depth", "color")
+ERRORS = ("opacity_error", "depth_error", "color_error")
 UNPLOTTED = ("slab", "shell_1e2", "shell_1e4")
 GOAL = 0.01
 """The colour error for which the table gives the number of samples and the time."""
@@ -65,11 +65,6 @@ class RayErrors:
     color_error: float
     color_error_p10: float
     color_error_p90: float
-
-    def error(self, quantity: str) -> float:
-        """Return the mean error of one of `QUANTITIES`."""
-        value: float = getattr(self, f"{quantity}_error")
-        return value
 
 
 def run(folder: Path, sizes: RaySizes) -> BenchOutcome:
@@ -111,37 +106,35 @@ def render(
 
 
 def fitted_order(
-    points: Iterable[RayErrors], quantity: str, fewest: int = FEWEST, floor: float = 1e-12
+    points: Iterable[RayErrors], error: str, fewest: int = FEWEST, floor: float = 1e-12
 ) -> float | None:
     """Return p in error ~ samples^-p, by least squares of logarithms.
 
     Points with fewer samples than `fewest`, and those whose error is rounding (at most `floor`),
     do not count. None where fewer than 3 points are left.
     """
-    errors = [(p.samples, p.error(quantity)) for p in points if p.samples >= fewest]
-    fitted = [(samples, error) for samples, error in errors if error > floor]
+    errors = [(p.samples, getattr(p, error)) for p in points if p.samples >= fewest]
+    fitted = [(samples, value) for samples, value in errors if value > floor]
     x, y = np.log(np.array(fitted).reshape(-1, 2)).T
     return None if len(fitted) < 3 else float(-np.polyfit(x, y, 1)[0])
 
 
-def first_below(points: Sequence[RayErrors], quantity: str, error: float) -> RayErrors | None:
-    """Return the point of fewest samples from which on the error stays below a bound."""
-    good = None
-    for point in sorted(points, key=lambda point: -point.samples):
-        if point.error(quantity) >= error:
-            break
-        good = point
-    return good
+def first_below(points: Sequence[RayErrors], bound: float) -> RayErrors | None:
+    """Return the point of fewest samples from which on the error of colour stays below a bound."""
+    ordered = sorted(points, key=lambda point: -point.samples)
+    good = list(takewhile(lambda point: point.color_error < bound, ordered))
+    return good[-1] if good else None
 
 
 def tabulate(points: Sequence[RayErrors], sizes: RaySizes) -> Table:
     """Return the orders of convergence in float64 and the work for a small error in float32."""
+    headers = [name.replace("_", "\n") for name in SAMPLERS]
     return build_table(
         "Rendering one ray: orders of convergence; samples (µs) for 1 % colour error",
         f"Orders: uniform midpoints in float64, {sizes.samples[-1]} samples down to {FEWEST} "
         f"(stiff: {RESOLVED}). Samples: per ray in float32, from which on the error stays below. "
         f"Times: {sizes.rays} rays at once; {sizes.conditions}.",
-        [*text("medium"), *numbers(*QUANTITIES, *(name.replace("_", "\n") for name in SAMPLERS))],
+        [*text("medium"), *numbers("opacity", "depth", "color", *headers)],
         [_row(medium, select(points, medium=medium.name)) for medium in MEDIA],
     )
 
@@ -150,9 +143,8 @@ def draw(points: Sequence[RayErrors], stem: Path) -> list[Path]:
     """Draw errors in float32 against run time, and that of colour against evaluations as well."""
     shown = [p for p in select(points, dtype="float32") if p.medium not in UNPLOTTED]
     dots = [
-        Dot(f"{quantity} error", p.medium, p.sampler, p.microseconds, p.error(quantity))
-        for quantity in QUANTITIES
-        for p in shown
+        Dot(error.replace("_", " "), p.medium, p.sampler, p.microseconds, getattr(p, error))
+        for error, p in product(ERRORS, shown)
     ]
     against = "color error against evaluations"
     dots += [Dot(against, p.medium, p.sampler, p.evaluations, p.color_error) for p in shown]
@@ -176,12 +168,12 @@ def _errors(medium: Medium, opacity: Tensor, depth: Tensor, rgb: Tensor) -> list
 
 def _row(medium: Medium, points: Sequence[RayErrors]) -> list[str]:
     fewest, row = RESOLVED if medium.slack else FEWEST, [medium.name]
-    for quantity in QUANTITIES:
+    for error in ERRORS:
         own = select(points, sampler="uniform", dtype="float64")
-        order = fitted_order(own, quantity, fewest)
+        order = fitted_order(own, error, fewest)
         row.append("-" if order is None else f"{order:.2f}")
     for sampler in SAMPLERS:
-        point = first_below(select(points, sampler=sampler, dtype="float32"), "color", GOAL)
+        point = first_below(select(points, sampler=sampler, dtype="float32"), GOAL)
         digits = 0 if point and point.microseconds >= 10 else 1
         row.append(f"{point.samples} ({point.microseconds:.{digits}f})" if point else "never")
     return row
