@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import gc
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import TypeVar
+
+from rich.console import Console
 
 from nerfreg.bench.timing import in_turns
 from nerfreg.config.compose import compose, require_steps
@@ -17,6 +21,7 @@ from nerfreg.scenes.scene import Scene
 from nerfreg.training.memory import keep_large_blocks
 from nerfreg.training.trainer import Trainer
 
+T = TypeVar("T")
 TINY = (
     *("train.rays=64", "sampler.coarse=8", "sampler.fine=8"),
     *("field.levels=4", "field.finest=32", "field.log2_entries=10"),
@@ -83,3 +88,13 @@ def time_steps(
         TimedSteps(own, (trainer.renderer.points - points) / steps)
         for own, trainer, points in zip(seconds, trainers, before, strict=True)
     ]
+
+
+def announced(items: Iterable[T], describe: Callable[[T], str]) -> Iterator[T]:
+    """Yield items, and show on stderr which of them is being measured."""
+    with Console(stderr=True).status("") as status:
+        for item in items:
+            status.update(describe(item))
+            yield item
+            # Trainers are in cycles of references and would stay in memory beside the next ones.
+            gc.collect()

@@ -19,9 +19,9 @@ from rich.table import Table
 from torch import Tensor
 
 from nerfreg.analysis.curves import Dot, draw_curves
-from nerfreg.analysis.tables import build_table, numbers, select, text
+from nerfreg.analysis.tables import build_table, numbers, publish_points, select, text
+from nerfreg.bench import BenchOutcome
 from nerfreg.bench.inputs import INPUTS, PATCH, LossInput
-from nerfreg.bench.outcome import BenchOutcome, publish_points
 from nerfreg.bench.rivals import MOST_SAMPLES, RIVALS
 from nerfreg.bench.timing import RaySizes, median_seconds
 from nerfreg.errors import NerfregError, NoRendererError
@@ -67,7 +67,8 @@ def run(folder: Path, sizes: RaySizes) -> BenchOutcome:
     Raises:
         NerfregError: No plugin can take part.
     """
-    measured = {info.name: measure(info, sizes) for info in installed() if _has_loss(info)}
+    losses = [info for info in installed() if "loss" in info.hook_points]
+    measured = {info.name: measure(info, sizes) for info in losses}
     points = list(chain(*measured.values()))
     if not points:
         raise NerfregError(
@@ -75,21 +76,17 @@ def run(folder: Path, sizes: RaySizes) -> BenchOutcome:
             "see `nerfreg plugins`"
         )
     table = tabulate(points, [name for name, own in measured.items() if not own], sizes)
-    return publish_points(folder / "losses", points, table, draw)
+    return BenchOutcome(publish_points(folder / "losses", points, table, draw))
 
 
 def measure(info: PluginInfo, sizes: RaySizes) -> list[LossPoint]:
     """Return one point for each form, input and number of samples; none if it cannot take part."""
-    if info.cls is None or not _has_loss(info):
+    if info.cls is None or "loss" not in info.hook_points:
         return []
     hooks = Hooks({info.name: info.cls(weight=1.0, start=0.0)})
     cases = product(INPUTS, sizes.samples)
     measured = [_measure(info.name, hooks, given, samples, sizes) for given, samples in cases]
     return list(chain(*measured)) if all(measured) else []
-
-
-def _has_loss(info: PluginInfo) -> bool:
-    return "loss" in info.hook_points
 
 
 def _measure(
@@ -147,7 +144,9 @@ def tabulate(points: Sequence[LossPoint], left_out: Sequence[str], sizes: RaySiz
     for plugin, form in dict.fromkeys((point.plugin, point.form) for point in points):
         own = select(points, plugin=plugin, form=form)
         worst = [max(p.relative_error for p in select(own, input=name)) for name in names]
-        most, time = list(_times(own).items())[-1]
+        most = max(point.samples for point in own)
+        # The inputs make no difference to the time.
+        time = median(point.milliseconds for point in select(own, samples=most))
         rows.append((plugin, form, *(f"{error:.0e}" for error in worst), f"{most}", f"{time:.3g}"))
     columns = [*text("plugin", "form"), *numbers(*names, "samples", "ms")]
     return build_table("Losses: error by input, and run time", caption, columns, rows)
@@ -162,9 +161,3 @@ def draw(points: Sequence[LossPoint], stem: Path) -> list[Path]:
     title = f"Losses in float32: relative error, and run time of {points[0].rays} rays"
     width = 2.25 * len({point.plugin for point in points})
     return draw_curves(stem, dots, title, (max(width, 7.5), 11.0), "samples per ray", SPAN)
-
-
-def _times(points: Sequence[LossPoint]) -> dict[int, float]:
-    """Return milliseconds by samples: the median over the inputs, which make no difference."""
-    counts = sorted({point.samples for point in points})
-    return {n: median(p.milliseconds for p in select(points, samples=n)) for n in counts}

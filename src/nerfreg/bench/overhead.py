@@ -17,10 +17,9 @@ from rich.table import Table
 
 from nerfreg.analysis.figures import GUIDE, PALETTE, panels, save
 from nerfreg.analysis.statistics import spread
-from nerfreg.analysis.tables import build_table, numbers, select, text
-from nerfreg.bench import configured
+from nerfreg.analysis.tables import build_table, numbers, publish_points, select, text
+from nerfreg.bench import BenchOutcome, configured
 from nerfreg.bench.configured import TINY, StepSizes, TimedSteps
-from nerfreg.bench.outcome import BenchOutcome, announced, publish_points
 from nerfreg.config.compose import compose
 from nerfreg.config.schema import Config
 from nerfreg.config.search_path import options
@@ -123,11 +122,11 @@ def run(folder: Path, sizes: OverheadSizes, overrides: tuple[str, ...]) -> Bench
     groups = [variants[i : i + TOGETHER] for i in range(0, len(variants), TOGETHER)]
     points = [
         point
-        for group in announced(groups, lambda group: ", ".join(v.name for v in group))
+        for group in configured.announced(groups, lambda group: ", ".join(v.name for v in group))
         for point in measure(group, overrides, scene, sizes)
     ]
     table = tabulate(points, config, scene.name, sizes)
-    return publish_points(folder / "overhead", points, table, draw)
+    return BenchOutcome(publish_points(folder / "overhead", points, table, draw))
 
 
 def choose(only: Sequence[str]) -> list[Variant]:

@@ -20,9 +20,9 @@ from rich.table import Table
 from torch import Tensor
 
 from nerfreg.analysis.curves import Dot, draw_curves
-from nerfreg.analysis.tables import build_table, numbers, select, text
+from nerfreg.analysis.tables import build_table, numbers, publish_points, select, text
+from nerfreg.bench import BenchOutcome
 from nerfreg.bench.media import MEDIA, Medium, color, exact
-from nerfreg.bench.outcome import BenchOutcome, publish_points
 from nerfreg.bench.samplers import SAMPLERS, Bundle, Sampled
 from nerfreg.bench.timing import RaySizes, median_seconds
 from nerfreg.rendering.compositing import composite
@@ -74,7 +74,9 @@ def run(folder: Path, sizes: RaySizes) -> BenchOutcome:
         for medium, dtype in product(MEDIA, (torch.float32, torch.float64))
         for point in measure(medium, dtype, sizes)
     ]
-    return publish_points(folder / "quadrature", points, tabulate(points, sizes), draw)
+    return BenchOutcome(
+        publish_points(folder / "quadrature", points, tabulate(points, sizes), draw)
+    )
 
 
 def measure(medium: Medium, dtype: torch.dtype, sizes: RaySizes) -> list[RayErrors]:

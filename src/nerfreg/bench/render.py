@@ -10,7 +10,8 @@ from pathlib import Path
 from typing import Any
 
 from nerfreg.analysis.statistics import spread
-from nerfreg.bench.outcome import BenchOutcome, publish_record
+from nerfreg.analysis.tables import publish_record
+from nerfreg.bench import BenchOutcome
 from nerfreg.bench.timing import seconds_of
 from nerfreg.field import RadianceField
 from nerfreg.field.workers import threads
@@ -43,7 +44,8 @@ def run(folder: Path, sizes: RenderSizes, words: tuple[str, ...]) -> BenchOutcom
         "threads": threads(),
         "peak_memory_mb": round(peak_memory_mb()),
     }
-    return publish_record(folder / "render.json", f"Test views of {words[0]}", record)
+    publish_record(folder / "render.json", f"Test views of {words[0]}", record)
+    return BenchOutcome([folder / "render.json"], record)
 
 
 def measure(

@@ -14,20 +14,14 @@ from nerfreg.files import json_text
 def run(
     name: str, folder: Path, sizes: Mapping[str, Any], words: Sequence[str] | None, *, quick: bool
 ) -> int:
-    """Run a bench, and print the files that it wrote and its record, if it has one, as JSON.
-
-    A bench is a module of this package with sizes, the dataclasses `FULL` and `QUICK`, of which the
-    second makes it end within seconds, and a function `run` that returns a `BenchOutcome`.
+    """Run a bench, print the files that it wrote and its record as JSON, and return the exit code.
 
     Args:
-        name: Of the module.
+        name: A module of this package that has `run` and its sizes, `FULL` and `QUICK`.
         folder: Where its files go.
         sizes: Fields of its sizes that are chosen.
         words: Overrides, or the folder of a run; None for a bench that takes neither.
-        quick: Whether the other sizes are the small ones.
-
-    Returns:
-        The exit code, 0.
+        quick: Whether the other sizes are the small ones, with which it ends within seconds.
     """
     # By name, so that a bench is imported only when it is run.
     bench: Any = import_module(f"nerfreg.bench.{name}")

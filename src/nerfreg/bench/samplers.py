@@ -58,15 +58,16 @@ class Bundle:
         return Sampled(t, edges_between(t, self.near, self.far), density, evaluations)
 
 
-def uniform(bundle: Bundle, count: int, generator: torch.Generator | None = None) -> Sampled:
-    """Sample the midpoints of equal parts, or with a generator anywhere in them, as in training."""
-    t = stratified(bundle.near, bundle.far, count, generator=generator)
+def uniform(bundle: Bundle, count: int) -> Sampled:
+    """Sample the midpoints of equal parts."""
+    t = stratified(bundle.near, bundle.far, count)
     return bundle.sampled(t, bundle.medium.density(t), float(count))
 
 
 def jittered(bundle: Bundle, count: int) -> Sampled:
     """Sample anywhere in equal parts, as in training."""
-    return uniform(bundle, count, bundle.generator)
+    t = stratified(bundle.near, bundle.far, count, generator=bundle.generator)
+    return bundle.sampled(t, bundle.medium.density(t), float(count))
 
 
 def by_importance(bundle: Bundle, count: int) -> Sampled:

@@ -11,9 +11,9 @@ from rich.table import Table
 
 from nerfreg.analysis.curves import Dot, draw_curves
 from nerfreg.analysis.statistics import spread
-from nerfreg.analysis.tables import build_table, numbers, select, text
-from nerfreg.bench.configured import TINY, StepSizes, make_trainer, set_up, time_steps
-from nerfreg.bench.outcome import BenchOutcome, announced, publish_points
+from nerfreg.analysis.tables import build_table, numbers, publish_points, select, text
+from nerfreg.bench import BenchOutcome
+from nerfreg.bench.configured import TINY, StepSizes, announced, make_trainer, set_up, time_steps
 from nerfreg.config.schema import Config
 from nerfreg.field.workers import threads
 
@@ -69,7 +69,7 @@ def run(folder: Path, sizes: ScalingSizes, overrides: tuple[str, ...]) -> BenchO
         points.append(ScalingPoint(swept, value, time.median, time.p10, time.p90, timed.points))
         del trainer
     table = tabulate(points, config, sizes)
-    return publish_points(folder / "scaling", points, table, draw)
+    return BenchOutcome(publish_points(folder / "scaling", points, table, draw))
 
 
 def changed(config: Config, swept: str, value: int) -> Config:

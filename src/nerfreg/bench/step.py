@@ -15,9 +15,9 @@ from rich.table import Table
 from torch import Tensor, nn
 
 from nerfreg.analysis.statistics import spread
-from nerfreg.analysis.tables import build_table, numbers, text
+from nerfreg.analysis.tables import build_table, numbers, publish_record, text
+from nerfreg.bench import BenchOutcome
 from nerfreg.bench.configured import TINY, StepSizes, make_trainer, set_up, step_at, time_steps
-from nerfreg.bench.outcome import BenchOutcome, publish_record
 from nerfreg.bench.parts import BACKWARD, REST, measure_parts
 from nerfreg.bench.timing import in_turns
 from nerfreg.config.schema import Config
@@ -52,7 +52,8 @@ def run(folder: Path, sizes: PartsSizes, overrides: tuple[str, ...]) -> BenchOut
     config = replace(config, field=fitted(config.field, scene))
     record = measure(config, scene, sizes)
     Console().print(tabulate(record))
-    return publish_record(folder / "step.json", "The whole step", record)
+    publish_record(folder / "step.json", "The whole step", record)
+    return BenchOutcome([folder / "step.json"], record)
 
 
 def measure(config: Config, scene: Scene, sizes: PartsSizes) -> dict[str, Any]:
