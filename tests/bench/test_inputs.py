@@ -38,7 +38,8 @@ def test_weights_of_peaked_rays_are_one_number() -> None:
 
 
 def test_weights_underflow_but_their_logarithms_do_not() -> None:
-    # Behind three walls of 30 light has gone down to exp(-90), less than the smallest normal float32.
+    # Behind three walls of 30 light has gone down to exp(-90), less than the smallest normal
+    # float32.
     rendering = NAMED["underflow"].rendering(16, 64)
     vanished = rendering.weights == 0
     assert vanished.any(dim=1).all()

@@ -33,7 +33,8 @@ def test_thickness_is_the_integral_of_density(medium: Medium, end: float) -> Non
 
 @pytest.mark.parametrize("medium", MEDIA, ids=lambda medium: medium.name)
 def test_exact_is_the_rendering_integral(medium: Medium) -> None:
-    # As it is defined, of exp(-thickness) density f, which neither the closed forms nor the parts use.
+    # As it is defined, of exp(-thickness) density f, which neither the closed forms nor the parts
+    # use.
     def integral(f):
         with mp.workdps(15):
             pieces = [0, *medium.breaks, 1]
@@ -51,8 +52,9 @@ def test_exact_is_the_rendering_integral(medium: Medium) -> None:
 
 
 def test_slab_by_hand() -> None:
-    # s exp(-s t) on [0, 1], s = 3. Opacity 1 - exp(-3). The first moment is (1 - (1 + s) exp(-s)) / s; that of
-    # cos(w t + a), w = 2 pi, is (1 - exp(-s)) s (s cos a - w sin a) / (s^2 + w^2), since t = 1 is a whole wave.
+    # s exp(-s t) on [0, 1], s = 3. Opacity 1 - exp(-3). The first moment is (1 - (1 + s) exp(-s)) /
+    # s; that of cos(w t + a), w = 2 pi, is (1 - exp(-s)) s (s cos a - w sin a) / (s^2 + w^2), since
+    # t = 1 is a whole wave.
     opacity, depth, rgb = exact(by_name("slab"))
     hit = 1 - exp(-3)
     assert opacity == pytest.approx(hit, rel=1e-14)

@@ -70,8 +70,9 @@ def test_some_of_them() -> None:
 
 
 def test_ratio_of_each_round_to_vanilla_in_the_same_round() -> None:
-    # Ratios 2, 2, 2, 2, 7: the machine's slow third round falls on both. The median of the times would say 2 as well,
-    # their quantiles not: linear interpolation puts 90 % of five values 0.6 of the way from the fourth to the fifth.
+    # Ratios 2, 2, 2, 2, 7: the machine's slow third round falls on both. The median of the times
+    # would say 2 as well, their quantiles not: linear interpolation puts 90 % of five values 0.6 of
+    # the way from the fourth to the fifth.
     own, vanilla = [2.0, 4.0, 20.0, 6.0, 7.0], [1.0, 2.0, 10.0, 3.0, 1.0]
     compared = compare(KL, 0.25, TimedSteps(own, 300.0), TimedSteps(vanilla, 100.0))
     assert (compared.variant, compared.kind, compared.share, compared.rounds) == (
@@ -139,7 +140,8 @@ def test_variants_take_turns_with_vanilla_at_every_share(
     def step_at(trainer: Trainer, share: float) -> None:
         name = "+".join(trainer.hooks.plugins) or "vanilla"
         order.append((name, share))
-        # kl takes three times as long as vanilla, and the machine is ten times slower from the fourth round on.
+        # kl takes three times as long as vanilla, and the machine is ten times slower from the
+        # fourth round on.
         clock.now += (3.0 if name == "kl" else 1.0) * (10.0 if len(order) > 9 else 1.0)
 
     monkeypatch.setattr(configured, "step_at", step_at)
@@ -157,7 +159,8 @@ def test_variants_take_turns_with_vanilla_at_every_share(
 
 def test_all_start_with_the_same_weights(make: Callable[..., Trainer]) -> None:
     vanilla = make()
-    # Biases draw random numbers of their own, so that without help the next layer's weights would differ.
+    # Biases draw random numbers of their own, so that without help the next layer's weights would
+    # differ.
     biased = make("+reg=lipschitz", "reg.lipschitz.bias=true")
     theirs, own = dict(vanilla.field.named_parameters()), dict(biased.field.named_parameters())
     assert not torch.equal(
@@ -204,7 +207,8 @@ def test_command(
     with Path("out/overhead.csv").open(newline="") as file:
         lines = list(csv.DictReader(file))
     assert list(lines[0]) == [
-        "variant", "kind", "share", "milliseconds", "vanilla_milliseconds", "ratio", "ratio_p10", "ratio_p90", "rounds",
+        "variant", "kind", "share", "milliseconds", "vanilla_milliseconds", "ratio", "ratio_p10",
+        "ratio_p90", "rounds",
         "points", "vanilla_points",
     ]  # fmt: skip
     assert [(line["variant"], line["kind"], line["share"]) for line in lines] == [

@@ -30,24 +30,26 @@ def test_midpoints_converge_with_order_2_on_smooth_media(name: str, quantity: st
 
 
 def test_slab() -> None:
-    # Density is constant in every interval of length h: opacity is exact. Depth takes the middle of each interval for
-    # the mean of s exp(-s t) inside it, which lies s h^2 / 12 before the middle, to second order; s = 3.
+    # Density is constant in every interval of length h: opacity is exact. Depth takes the middle of
+    # each interval for the mean of s exp(-s t) inside it, which lies s h^2 / 12 before the middle,
+    # to second order; s = 3.
     for measured in points("slab"):
         assert measured.opacity_error < 1e-14
         assert measured.depth_error == pytest.approx(3 / 12 / measured.samples**2, rel=1e-3)
 
 
 def test_a_shell_between_two_samples_is_not_there() -> None:
-    # Half of the rays, evenly spread over an interval of 1/384, have a sample in the shell of 1/768.
+    # Half of the rays, evenly spread over an interval of 1/384, have a sample in the shell of
+    # 1/768.
     sizes = RaySizes((384,), rays=384, repetitions=1)
     (measured,) = points("shell_1e6", sizes)
     assert measured.opacity_error == pytest.approx(1 / 2, abs=0.03)
 
 
 def test_a_thin_shell_that_is_hit_counts_whole_intervals() -> None:
-    # Optical thickness is that of n whole intervals, n / 1024 instead of 1 / 768: 3/4 n of the truth. One hit on two
-    # thirds of the rays, two on one third: mean error 2/3 * 1/4 + 1/3 * 1/2 = 1/3. A quarter as much for 4096: 5 hits
-    # on two thirds, 6 on one.
+    # Optical thickness is that of n whole intervals, n / 1024 instead of 1 / 768: 3/4 n of the
+    # truth. One hit on two thirds of the rays, two on one third: mean error 2/3 * 1/4 + 1/3 * 1/2 =
+    # 1/3. A quarter as much for 4096: 5 hits on two thirds, 6 on one.
     sizes = RaySizes((1024, 4096), rays=400, repetitions=1)
     coarse, fine = points("shell_1e0", sizes)
     assert coarse.opacity_error == pytest.approx(1 / 3, rel=0.02)

@@ -13,8 +13,10 @@ from nerfreg.rendering.views import ViewRenderer
 from nerfreg.runs.load import load_run
 
 KEYS = {
-    "run", "scene", "reg", "seconds_per_view", "seconds_p10", "seconds_p90", "views", "width", "height",
-    "points_per_ray", "colors_per_ray", "occupancy_seconds", "first_view_seconds", "threads", "peak_memory_mb",
+    "run", "scene", "reg", "seconds_per_view", "seconds_p10", "seconds_p90", "views", "width",
+    "height",
+    "points_per_ray", "colors_per_ray", "occupancy_seconds", "first_view_seconds", "threads",
+    "peak_memory_mb",
 }  # fmt: skip
 
 

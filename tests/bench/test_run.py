@@ -28,7 +28,7 @@ FORMS = {
 def bench(
     capsys: pytest.CaptureFixture[str], name: str, *words: str
 ) -> tuple[str, list[dict[str, str]], Path]:
-    """What a bench prints, the lines of its CSV file, and the folder that the printed paths lie in."""
+    """Return what a bench prints, the lines of its CSV file, and the folder of its files."""
     assert main(["bench", name, "--quick", *words]) == 0
     out = capsys.readouterr().out
     paths = [Path(line) for line in out.splitlines()[-3:]]
@@ -72,14 +72,15 @@ def test_losses(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert folder == tmp_path / "elsewhere"
     assert {(point["plugin"], point["form"]) for point in points} >= FORMS
     assert list(points[0]) == [
-        "plugin", "form", "input", "samples", "relative_error", "milliseconds", "value", "exact", "exact_rays", "rays",
+        "plugin", "form", "input", "samples", "relative_error", "milliseconds", "value", "exact",
+        "exact_rays", "rays",
     ]  # fmt: skip
     own = [point for point in points if point["form"] == "plugin"]
     # 4 inputs for each of 6 plugins and each size.
     assert len([point for point in own if (point["plugin"], "plugin") in FORMS]) == 24 * len(
         losses.QUICK.samples
     )
-    # What the issue promises for losses in float32.
+    # What is promised of losses in float32.
     assert max(float(point["relative_error"]) for point in own) < 1e-5
     assert "one thread" in " ".join(out.split())
     # It renders again, and there is no field to do it with.

@@ -55,7 +55,8 @@ def test_jitter_differs_between_rays_and_stays_in_its_stratum() -> None:
 
 
 def test_importance_gathers_where_the_weights_are() -> None:
-    # 16 coarse samples, one of them in the block: its interval, a sixteenth of the ray, gets nearly all others.
+    # 16 coarse samples, one of them in the block: its interval, a sixteenth of the ray, gets nearly
+    # all others.
     t = by_importance(bundle(BLOCK), 48).t
     inside = (t > 0.5 - 1 / 16) & (t < 0.5 + 1 / 8)
     assert inside.sum(dim=1).min() >= 32
@@ -68,7 +69,8 @@ def test_skipping_evaluates_occupied_cells_and_their_neighbours() -> None:
 
 
 def test_skipping_may_lose_a_wall_thinner_than_a_cell() -> None:
-    # Nine looks miss a sixth of a cell with probability (5/6)^9 = 0.19 (binomial spread over 400 rays: 0.02).
+    # Nine looks miss a sixth of a cell with probability (5/6)^9 = 0.19 (binomial spread over 400
+    # rays: 0.02).
     thin = walls("thin", Wall(64.4 / CELLS, (64.4 + 1 / 6) / CELLS, 1e4))
     found = bundle(thin, 400).occupied.any(dim=1).float().mean()
     assert found.item() == pytest.approx(0.81, abs=0.08)

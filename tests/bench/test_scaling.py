@@ -66,7 +66,9 @@ def test_command(
     ]
     # 32 and 64 rays of 16 samples; 64 rays of 8 and 16; 64 x 16 for the rest.
     assert [(line["swept"], line["value"], line["points"]) for line in lines] == [
-        ("rays", "32", "512"), ("rays", "64", "1024"), ("samples", "8", "512"), ("samples", "16", "1024"),
-        ("levels", "2", "1024"), ("levels", "4", "1024"), ("entries", "256", "1024"), ("entries", "1024", "1024"),
+        ("rays", "32", "512"), ("rays", "64", "1024"),
+        ("samples", "8", "512"), ("samples", "16", "1024"),
+        ("levels", "2", "1024"), ("levels", "4", "1024"),
+        ("entries", "256", "1024"), ("entries", "1024", "1024"),
     ]  # fmt: skip
     assert sorted(path.name for path in tmp_path.iterdir()) == ["bench"]

@@ -15,9 +15,12 @@ from nerfreg.field.layers import Linear
 
 SCENE = ("scene.size=24", "scene.views=3", "scene.test_views=2", "train.threads=1")
 KEYS = {
-    "points_per_second", "ms", "ms_p10", "ms_p90", "parts_ms", "points_per_step", "colors_per_step", "peak_memory_mb",
-    "compile_seconds", "warmup_seconds", "threads", "gflops", "ceiling_network_gflops", "ceiling_square_gflops",
-    "ceiling_bandwidth_gb_per_second", "arithmetic_share", "at", "scene", "reg", "rays", "samples", "log2_entries",
+    "points_per_second", "ms", "ms_p10", "ms_p90", "parts_ms", "points_per_step", "colors_per_step",
+    "peak_memory_mb",
+    "compile_seconds", "warmup_seconds", "threads", "gflops", "ceiling_network_gflops",
+    "ceiling_square_gflops",
+    "ceiling_bandwidth_gb_per_second", "arithmetic_share", "at", "scene", "reg", "rays", "samples",
+    "log2_entries",
     "levels", "finest",
 }  # fmt: skip
 BOX = torch.tensor([[-1.0, -1.0, -1.0], [1.0, 1.0, 1.0]])
@@ -94,8 +97,9 @@ def test_flop_of_a_product() -> None:
 
 
 def test_flop_of_a_step() -> None:
-    # The paper's networks, 32-64-16 and 31-64-64-3: 32*64 + 64*16 = 3072 and 31*64 + 64*64 + 64*3 = 6272 weights. Each
-    # takes part in one multiplication and one addition forward, and two of each backward: 6.
+    # The paper's networks, 32-64-16 and 31-64-64-3: 32*64 + 64*16 = 3072 and 31*64 + 64*64 + 64*3 =
+    # 6272 weights. Each takes part in one multiplication and one addition forward, and two of each
+    # backward: 6.
     field = RadianceField(FieldConfig(levels=16, finest=32, log2_entries=8), BOX, make_layer)
     assert step_flop(field, points=1000.0, colors=0.0) == 1000 * 6 * 3072
     assert step_flop(field, points=0.0, colors=1.0) == 6 * 6272
