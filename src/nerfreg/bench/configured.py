@@ -30,7 +30,7 @@ TINY = (
 
 
 @dataclass(frozen=True, kw_only=True)
-class StepSizes:
+class TrainingSizes:
     """Timed steps, steps before them, and overrides that the command line may override."""
 
     steps: int

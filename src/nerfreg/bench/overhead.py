@@ -19,7 +19,7 @@ from nerfreg.analysis.figures import GUIDE, PALETTE, panels, save
 from nerfreg.analysis.statistics import spread
 from nerfreg.analysis.tables import build_table, numbers, publish_points, select, text
 from nerfreg.bench import BenchOutcome, configured
-from nerfreg.bench.configured import TINY, StepSizes, TimedSteps
+from nerfreg.bench.configured import TINY, TimedSteps, TrainingSizes
 from nerfreg.config.compose import compose
 from nerfreg.config.schema import Config
 from nerfreg.config.search_path import options
@@ -50,7 +50,7 @@ SETTLING, TOGETHER = 5, 4
 
 
 @dataclass(frozen=True, kw_only=True)
-class OverheadSizes(StepSizes):
+class OverheadSizes(TrainingSizes):
     """Shares of the budget at which steps are timed, ascending, and names of variants or none."""
 
     shares: tuple[float, ...]

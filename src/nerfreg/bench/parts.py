@@ -32,13 +32,17 @@ adding up gradients."""
 class Stopwatch:
     """Adds up seconds by part; those of all parts add up to those of the outermost.
 
-    A part that is entered inside another stops the time of that one until it is left.
+    A part that is entered inside another stops the time of that one until it is left. The backward
+    pass of a function is a part, too: its autograd nodes are found and tell when they run.
     """
 
     def __init__(self) -> None:
         self._seconds: defaultdict[str, float] = defaultdict(float)
         self._open: list[str] = []
         self._since = 0.0
+        # Kept until the time is taken: a node is known by its Python object, which autograd would
+        # make anew if it were gone.
+        self._claimed: set[Node] = set()
 
     def enter(self, part: str) -> None:
         """Let the time run for another part."""
@@ -59,10 +63,23 @@ class Stopwatch:
         finally:
             self.leave()
 
+    def timed(self, part: str, function: Callable[..., Any]) -> Callable[..., Any]:
+        """Count the time of a function and that of its backward pass as those of a part."""
+
+        def run(*args: Any, **kwargs: Any) -> Any:
+            before = set(_nodes((args, *kwargs.values())))
+            with self.part(part):
+                result = function(*args, **kwargs)
+            self._claim(f"{part}{BACKWARD}", _nodes(result), before)
+            return result
+
+        return run
+
     def take(self) -> dict[str, float]:
         """Return seconds by part since the last call, and begin again from 0."""
         taken = dict(self._seconds)
         self._seconds.clear()
+        self._claimed.clear()
         return taken
 
     def _credit(self) -> None:
@@ -70,6 +87,22 @@ class Stopwatch:
         if self._open:
             self._seconds[self._open[-1]] += now - self._since
         self._since = now
+
+    def _claim(self, part: str, last: Iterable[Node], before: set[Node]) -> None:
+        # All nodes from `last` back to those `before` them, but for those of parts inside.
+        seen, stack = set(before), list(last)
+        while stack:
+            node = stack.pop()
+            # A gradient that Python has seen is copied before it is kept, hence no hooks on those
+            # nodes that keep it.
+            if node in seen or hasattr(node, "variable"):
+                continue
+            seen.add(node)
+            stack += [earlier for earlier, _ in node.next_functions if earlier is not None]
+            if node not in self._claimed:
+                self._claimed.add(node)
+                node.register_prehook(lambda _: self.enter(part))
+                node.register_hook(lambda *_: self.leave())
 
 
 def measure_parts(trainer: Trainer, at: float, steps: int) -> dict[str, float]:
@@ -97,11 +130,8 @@ def middle_mean(taken: Sequence[dict[str, float]]) -> dict[str, float]:
 
 @contextmanager
 def timed_parts(trainer: Trainer) -> Iterator[Stopwatch]:
-    """Make the steps of a trainer tell a stopwatch which part they enter and leave.
-
-    What is kept of a step is let go when the time is taken, which has to be done after each.
-    """
-    watch = _GraphStopwatch()
+    """Make steps of a trainer tell a stopwatch, to be read after each, which part they are in."""
+    watch = Stopwatch()
     plugins = trainer.hooks.plugins.items()
     each = [watch.timed(f"{name} loss", Hooks({name: plugin}).losses) for name, plugin in plugins]
 
@@ -133,49 +163,6 @@ def _seams(trainer: Trainer) -> Iterator[tuple[Any, str, str]]:
     yield loss, "color_error", "color loss"
     yield trainer.optimizer, "step", "optimizer"
     yield trainer.average, "update", "moving average"
-
-
-class _GraphStopwatch(Stopwatch):
-    """Finds the autograd nodes that a part has made, and knows when they run backward."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        # Kept for the whole step: a node is known by its Python object, which autograd would make
-        # anew if it were gone.
-        self.claimed: set[Node] = set()
-
-    def timed(self, part: str, function: Callable[..., Any]) -> Callable[..., Any]:
-        """Count the time of a function and that of its backward pass as those of a part."""
-
-        def run(*args: Any, **kwargs: Any) -> Any:
-            before = set(_nodes((args, *kwargs.values())))
-            with self.part(part):
-                result = function(*args, **kwargs)
-            self._claim(f"{part}{BACKWARD}", _nodes(result), before)
-            return result
-
-        return run
-
-    def take(self) -> dict[str, float]:
-        """Let the graph of the step go, too."""
-        self.claimed.clear()
-        return super().take()
-
-    def _claim(self, part: str, last: Iterable[Node], before: set[Node]) -> None:
-        # All nodes from `last` back to those `before` them, but for those of parts inside.
-        seen, stack = set(before), list(last)
-        while stack:
-            node = stack.pop()
-            # A gradient that Python has seen is copied before it is kept, hence no hooks on those
-            # nodes that keep it.
-            if node in seen or hasattr(node, "variable"):
-                continue
-            seen.add(node)
-            stack += [earlier for earlier, _ in node.next_functions if earlier is not None]
-            if node not in self.claimed:
-                self.claimed.add(node)
-                node.register_prehook(lambda _: self.enter(part))
-                node.register_hook(lambda *_: self.leave())
 
 
 def _nodes(value: object) -> Iterator[Node]:

@@ -12,8 +12,8 @@ from rich.table import Table
 from nerfreg.analysis.curves import Dot, draw_curves
 from nerfreg.analysis.statistics import spread
 from nerfreg.analysis.tables import build_table, numbers, publish_points, select, text
-from nerfreg.bench import BenchOutcome
-from nerfreg.bench.configured import TINY, StepSizes, announced, make_trainer, set_up, time_steps
+from nerfreg.bench import BenchOutcome, configured
+from nerfreg.bench.configured import TINY, TrainingSizes
 from nerfreg.config.schema import Config
 from nerfreg.field.workers import threads
 
@@ -28,7 +28,7 @@ LABELS = {
 
 
 @dataclass(frozen=True, kw_only=True)
-class ScalingSizes(StepSizes):
+class ScalingSizes(TrainingSizes):
     """What each of `LABELS` goes through, while everything else stays as configured."""
 
     values: Mapping[str, Sequence[int]]
@@ -59,12 +59,12 @@ class ScalingPoint:
 
 def run(folder: Path, sizes: ScalingSizes, overrides: tuple[str, ...]) -> BenchOutcome:
     """Measure all values of all sizes around a configuration, and publish the points."""
-    config, scene = set_up((*sizes.defaults, *overrides))
+    config, scene = configured.set_up((*sizes.defaults, *overrides))
     points = []
     cases = [(swept, value) for swept in LABELS for value in sizes.values[swept]]
-    for swept, value in announced(cases, lambda case: f"{case[1]} {LABELS[case[0]]}"):
-        trainer = make_trainer(changed(config, swept, value), scene)
-        (timed,) = time_steps([trainer], AT, sizes.warmup, sizes.steps)
+    for swept, value in configured.announced(cases, lambda case: f"{case[1]} {LABELS[case[0]]}"):
+        trainer = configured.make_trainer(changed(config, swept, value), scene)
+        (timed,) = configured.time_steps([trainer], AT, sizes.warmup, sizes.steps)
         time = spread([1e3 * seconds for seconds in timed.seconds])
         points.append(ScalingPoint(swept, value, time.median, time.p10, time.p90, timed.points))
         del trainer

@@ -17,7 +17,7 @@ from torch import Tensor, nn
 from nerfreg.analysis.statistics import spread
 from nerfreg.analysis.tables import build_table, numbers, publish_record, text
 from nerfreg.bench import BenchOutcome
-from nerfreg.bench.configured import TINY, StepSizes, make_trainer, set_up, step_at, time_steps
+from nerfreg.bench.configured import TINY, TrainingSizes, make_trainer, set_up, step_at, time_steps
 from nerfreg.bench.parts import BACKWARD, REST, measure_parts
 from nerfreg.bench.timing import in_turns
 from nerfreg.config.schema import Config
@@ -34,7 +34,7 @@ PASSES = 3
 
 
 @dataclass(frozen=True, kw_only=True)
-class PartsSizes(StepSizes):
+class StepSizes(TrainingSizes):
     """Share of the budget that schedules see, and the sizes of `measure_ceilings`."""
 
     at: float = 0.5
@@ -42,11 +42,11 @@ class PartsSizes(StepSizes):
     copy_mb: int = 256
 
 
-FULL = PartsSizes(steps=40, warmup=20)
-QUICK = PartsSizes(steps=3, warmup=1, square=128, copy_mb=1, defaults=TINY)
+FULL = StepSizes(steps=40, warmup=20)
+QUICK = StepSizes(steps=3, warmup=1, square=128, copy_mb=1, defaults=TINY)
 
 
-def run(folder: Path, sizes: PartsSizes, overrides: tuple[str, ...]) -> BenchOutcome:
+def run(folder: Path, sizes: StepSizes, overrides: tuple[str, ...]) -> BenchOutcome:
     """Measure a step of the configuration that the overrides choose, and publish the record."""
     config, scene = set_up((*sizes.defaults, *overrides))
     config = replace(config, field=fitted(config.field, scene))
@@ -56,7 +56,7 @@ def run(folder: Path, sizes: PartsSizes, overrides: tuple[str, ...]) -> BenchOut
     return BenchOutcome([folder / "step.json"], record)
 
 
-def measure(config: Config, scene: Scene, sizes: PartsSizes) -> dict[str, Any]:
+def measure(config: Config, scene: Scene, sizes: StepSizes) -> dict[str, Any]:
     """Build, warm up, time whole steps, then their parts, then the machine.
 
     Returns:
