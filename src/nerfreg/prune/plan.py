@@ -1,4 +1,4 @@
-"""What is to be trained: sets of regularizers, cells of held-out views and seeds, numbers of steps."""
+"""What a study trains: sets of regularizers, held-out views and seeds, numbers of steps."""
 
 from __future__ import annotations
 
@@ -10,53 +10,62 @@ from enum import StrEnum
 from nerfreg.errors import NerfregError
 
 Selection = tuple[str, ...]
-"""Regularizers by name, in the order of the full set."""
+"""Names of regularizers, in the order of the full set."""
+
+Cell = tuple[tuple[int, ...], int]
+"""Positions of the training views that are held out, and a seed: sets are compared cell by cell."""
 
 USUAL_FOLDS = 4
 FEWEST_CELLS = 4
-"""An interval from fewer is too wide to be worth looking at."""
-
-
-@dataclass(frozen=True)
-class Cell:
-    """Which training views are held out, by their positions, and the seed. All sets are compared cell by cell."""
-
-    held_out: tuple[int, ...]
-    seed: int
+"""An interval from fewer differences is too wide to be worth computing."""
 
 
 @dataclass(frozen=True)
 class Trial:
-    """One training: a set of regularizers on one cell, for so many steps."""
+    """One training of a set of regularizers.
+
+    Attributes:
+        regularizers: The set.
+        held_out: Positions of the training views that are held out.
+        seed: Seed of the training.
+        steps: Its length.
+    """
 
     regularizers: Selection
-    cell: Cell
+    held_out: tuple[int, ...]
+    seed: int
     steps: int
+
+    @property
+    def cell(self) -> Cell:
+        """What the trials of other sets share with this one."""
+        return self.held_out, self.seed
+
+
+@dataclass(frozen=True)
+class Stage:
+    """How long the trainings are that are compared next, and on how many cells."""
+
+    steps: int
+    cells: int
 
 
 class Context(StrEnum):
-    """Among which others a regularizer is judged: all the rest of the full set, or none."""
+    """Beside which others a regularizer is judged: the rest of the full set, or none."""
 
     SET = "set"
     ALONE = "alone"
 
 
 @dataclass(frozen=True)
-class Comparison:
-    """What a regularizer contributes: the set that has it against the set that differs in nothing else."""
-
-    regularizer: str
-    context: Context
-    having: Selection
-    lacking: Selection
-
-
-@dataclass(frozen=True)
 class Design:
-    """What a study chooses from.
+    """What a study chooses its trials from.
 
-    full: the regularizers whose contributions are asked for. folds: positions of training views that are held out
-    together. ladder: numbers of steps, ascending; the last is that of a whole run. seed: the first.
+    Attributes:
+        full: The regularizers whose contributions are asked for.
+        folds: Positions of training views that are held out together.
+        ladder: Numbers of steps, ascending; the last is that of a whole run.
+        seed: The first seed.
     """
 
     full: Selection
@@ -66,28 +75,33 @@ class Design:
 
     @property
     def first_look(self) -> int:
-        """Cells before anything is judged: whole rounds over the folds."""
+        """How many cells are measured before anything is judged: whole rounds over the folds."""
         return len(self.folds) * math.ceil(FEWEST_CELLS / len(self.folds))
 
     def cells(self, count: int) -> tuple[Cell, ...]:
-        """The first `count` cells: every fold with the first seed, then every fold with the next."""
-        rounds = len(self.folds)
-        return tuple(Cell(self.folds[i % rounds], self.seed + i // rounds) for i in range(count))
+        """Return the first `count` cells: every fold with the first seed, then with the next."""
+        folds = len(self.folds)
+        return tuple((self.folds[i % folds], self.seed + i // folds) for i in range(count))
 
-    def comparisons(self, context: Context) -> tuple[Comparison, ...]:
-        """One for each regularizer: leaving it out of the full set, or adding it to vanilla."""
-        if context is Context.SET:
-            return tuple(
-                Comparison(name, context, self.full, without(self.full, name)) for name in self.full
-            )
-        return tuple(Comparison(name, context, (name,), ()) for name in self.full)
+    def trials(self, sets: Sequence[Selection], stage: Stage) -> list[Trial]:
+        """Return the trials of a stage: one cell for all sets, then the next.
 
-    def ordered(self, names: Sequence[str]) -> Selection:
-        """These regularizers in the order of the full set."""
-        return tuple(name for name in self.full if name in names)
+        Each cell begins with another set, so that whatever else the machine does affects all alike.
+        """
+        return [
+            Trial(sets[(position + turn) % len(sets)], *cell, stage.steps)
+            for position, cell in enumerate(self.cells(stage.cells))
+            for turn in range(len(sets))
+        ]
+
+    def pair(self, regularizer: str, context: Context) -> tuple[Selection, Selection]:
+        """Return two sets that differ in a regularizer, which the first has: full or alone."""
+        if context is Context.ALONE:
+            return (regularizer,), ()
+        return self.full, tuple(name for name in self.full if name != regularizer)
 
     def label(self, regularizers: Selection) -> str:
-        """What a table calls a set."""
+        """Return the name of a set in tables."""
         missing = [name for name in self.full if name not in regularizers]
         if not missing:
             return "full set"
@@ -98,14 +112,15 @@ class Design:
         return f"{regularizers[0]} alone" if len(regularizers) == 1 else "+".join(regularizers)
 
 
-def without(regularizers: Selection, name: str) -> Selection:
-    return tuple(other for other in regularizers if other != name)
-
-
 def make_folds(views: int, count: int | None) -> tuple[tuple[int, ...], ...]:
-    """Deal the positions 0 to views - 1 into `count` folds; None: four, or one for each view where there are fewer.
+    """Deal the positions of the training views into folds.
 
-    Raises NerfregError where a fold would be empty, or would leave nothing to train on.
+    Args:
+        views: How many training views there are.
+        count: How many folds; None: four, or one for each view where there are fewer.
+
+    Raises:
+        NerfregError: A fold would be empty, or would leave nothing to train on.
     """
     count = min(views, USUAL_FOLDS) if count is None else count
     if not 2 <= count <= views:
@@ -114,22 +129,23 @@ def make_folds(views: int, count: int | None) -> tuple[tuple[int, ...], ...]:
 
 
 def make_ladder(first: int | None, last: int | None) -> tuple[int, ...]:
-    """Numbers of steps: `first` (None: a quarter of `last`), doubled as long as it is below `last`, and `last`.
+    """Double a number of steps until it reaches that of a whole run.
 
-    Raises NerfregError where `first` is more than `last`, and where that is no number of steps.
+    Args:
+        first: Steps of the shortest trainings; None: a quarter of `last`.
+        last: Steps of a whole run.
+
+    Raises:
+        NerfregError: `last` is not a number of steps, or `first` is more than `last`.
     """
     if last is None or last < 1:
         raise NerfregError(
             f"train.steps={last}: prune compares trainings of equal length; set it to 1 or more"
         )
-    if first is None:
-        first = math.ceil(last / 4)
+    first = math.ceil(last / 4) if first is None else first
     if first > last:
         raise NerfregError(
             f"--steps {first}: more than train.steps={last}, the length of a whole run"
         )
-    steps = []
-    while first < last:
-        steps.append(first)
-        first *= 2
-    return (*steps, last)
+    doubled = [first << power for power in range(last.bit_length())]
+    return (*(steps for steps in doubled if steps < last), last)

@@ -1,13 +1,13 @@
-"""What intervals mean: verdicts on regularizers, and what to keep."""
+"""What intervals mean: a verdict on each regularizer, and the smaller sets to try."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from enum import StrEnum
 
 from nerfreg.analysis.statistics import Interval
-from nerfreg.prune.plan import Comparison, Context, Design, Selection
+from nerfreg.prune.ledger import Difference
+from nerfreg.prune.plan import Selection
 
 
 class Verdict(StrEnum):
@@ -19,37 +19,8 @@ class Verdict(StrEnum):
     CANNOT_TELL = "cannot tell"
 
 
-@dataclass(frozen=True)
-class Finding:
-    """A comparison as it stands after its last look.
-
-    gain: dB of PSNR on held-out views that the regularizer adds. time: what it adds to the time of a step, as a share.
-    steps: of the trainings. error: the chance that each interval was allowed to miss.
-    """
-
-    comparison: Comparison
-    steps: int
-    error: float
-    gain: Interval
-    time: Interval
-    verdict: Verdict
-
-    def sentence(self, tolerance: float) -> str:
-        """The verdict with its figures."""
-        low, high = self.gain.low, self.gain.high
-        match self.verdict:
-            case Verdict.HELPS:
-                return f"helps by {low:.2f} to {high:.2f} dB"
-            case Verdict.HURTS:
-                return f"hurts by {-high:.2f} to {-low:.2f} dB"
-            case Verdict.NO_DIFFERENCE:
-                return f"makes no difference beyond {tolerance:g} dB ({low:+.2f} to {high:+.2f} dB)"
-        ends = "" if self.gain.count < 2 else f" ({low:+.2f} to {high:+.2f} dB)"
-        return f"cannot tell{ends}"
-
-
 def judge(gain: Interval, tolerance: float) -> Verdict:
-    """The verdict that a gain in dB allows. A gain that is certain but below the tolerance makes no difference."""
+    """Return the verdict on a gain, both in dB; a certain gain within the tolerance is none."""
     if gain.inside(tolerance):
         return Verdict.NO_DIFFERENCE
     if gain.low > 0:
@@ -57,37 +28,44 @@ def judge(gain: Interval, tolerance: float) -> Verdict:
     return Verdict.HURTS if gain.high < 0 else Verdict.CANNOT_TELL
 
 
-def proposals(design: Design, findings: Mapping[Comparison, Finding]) -> tuple[Selection, ...]:
-    """Smaller sets to be confirmed against the full one, in the order in which they are tried; the full set ends them.
+def no_worse(gain: Interval, tolerance: float) -> bool | None:
+    """Return whether a set that gains this, in dB, may replace the other; None: cannot tell."""
+    if gain.low >= -tolerance:
+        return True
+    return False if gain.high < -tolerance else None
 
-    First what helps, and what saves time without hurting. Then those of which nothing can be said are put back, all
-    at once; then those that make no difference, one by one, the best alone first, because two that can replace each
-    other both seem to be of no use; what hurts comes last.
+
+def proposals(
+    full: Selection,
+    in_set: Mapping[str, Difference],
+    alone: Mapping[str, Difference],
+    tolerance: float,
+) -> tuple[Selection, ...]:
+    """Return the sets to compare with the full one, in the order of trial; it stands last itself.
+
+    The first has what helps, and what saves time without hurting. What cannot be told is then put
+    back all at once; what makes no difference one by one, the best alone first, because two
+    regularizers that can replace each other both seem useless; and what hurts comes last.
+
+    Args:
+        full: The full set.
+        in_set: What each regularizer adds to the rest of the full set.
+        alone: What each adds to vanilla.
+        tolerance: dB of PSNR that count as no difference.
     """
-    found = {
-        f.comparison.regularizer: f
-        for f in findings.values()
-        if f.comparison.context is Context.SET
-    }
-    alone = {
-        f.comparison.regularizer: f.gain.mean
-        for f in findings.values()
-        if f.comparison.context is Context.ALONE and f.gain.count
-    }
-    by_verdict = {
-        verdict: [name for name, f in found.items() if f.verdict is verdict] for verdict in Verdict
-    }
-    saving = [
-        name for name, f in found.items() if f.time.high < 0 and f.verdict is not Verdict.HURTS
-    ]
-    kept = [*by_verdict[Verdict.HELPS], *saving]
-    chain = [design.ordered(kept)]
-    spare = sorted(by_verdict[Verdict.NO_DIFFERENCE], key=lambda name: -alone.get(name, 0.0))
-    for returned in (
-        by_verdict[Verdict.CANNOT_TELL],
-        *([name] for name in spare),
-        by_verdict[Verdict.HURTS],
-    ):
-        kept += returned
-        chain.append(design.ordered(kept))
-    return tuple(dict.fromkeys(chain))
+    verdicts = {name: judge(found.gain, tolerance) for name, found in in_set.items()}
+
+    def those(verdict: Verdict) -> list[str]:
+        return [name for name, own in verdicts.items() if own is verdict]
+
+    def gain_alone(name: str) -> float:
+        return alone[name].gain.mean if alone[name].gain.count else 0.0
+
+    saving = {name for name, found in in_set.items() if found.time.high < 0}
+    kept = {*those(Verdict.HELPS), *saving.difference(those(Verdict.HURTS))}
+    chain = [kept]
+    spare = sorted(those(Verdict.NO_DIFFERENCE), key=gain_alone, reverse=True)
+    for returned in (those(Verdict.CANNOT_TELL), *([name] for name in spare), full):
+        kept = kept.union(returned)
+        chain.append(kept)
+    return tuple(dict.fromkeys(tuple(name for name in full if name in kept) for kept in chain))
