@@ -1,45 +1,40 @@
-"""What a bench leaves: the points of a CSV file, a JSON record, and the looks of its table."""
+"""Tables on the terminal, made in one way by all tools."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import astuple, dataclass, fields
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from rich import box
-from rich.table import Table
+from rich.table import Column, Table
 
-from nerfreg.files import write_csv, write_json
-
-
-@dataclass(frozen=True)
-class Outcome:
-    """files: what was written. record: the last line of what is printed, as JSON; None: there is none."""
-
-    files: list[Path]
-    record: dict[str, Any] | None = None
+from nerfreg.files import write_json
 
 
-def write_record(path: Path, record: dict[str, Any]) -> Outcome:
-    """One JSON object in a file of its own. Raises NerfregError where it cannot be written."""
-    write_json(path, record)
-    return Outcome([path], record)
+def text(*headers: str) -> list[Column]:
+    """Return columns of words: aligned to the left, one line a cell."""
+    return [Column(header, no_wrap=True) for header in headers]
 
 
-def write_points(path: Path, points: Sequence[Any]) -> Path:
-    """One line for each point, a dataclass; its fields are the columns. Raises NerfregError where it cannot."""
-    write_csv(path, [field.name for field in fields(points[0])], map(_row, points))
-    return path
+def numbers(*headers: str) -> list[Column]:
+    """Return columns of numbers: aligned to the right, one line a cell."""
+    return [Column(header, justify="right", no_wrap=True) for header in headers]
 
 
-def _row(point: Any) -> list[object]:
-    return [f"{value:.6g}" if isinstance(value, float) else value for value in astuple(point)]
+def build_table(
+    title: str, caption: str, columns: Iterable[Column], rows: Iterable[Sequence[str]]
+) -> Table:
+    """Return a table for a terminal of 80 characters.
 
-
-def new_table(title: str, caption: str) -> Table:
-    """A table without columns, narrow enough for 80 characters."""
-    return Table(
+    Args:
+        title: Stands above the table.
+        caption: Stands below it and says how to read it.
+        columns: Made by `text` and `numbers`, or by rich.
+        rows: For each row a cell for each column.
+    """
+    table = Table(
+        *columns,
         title=title,
         caption=caption,
         box=box.SIMPLE_HEAD,
@@ -48,3 +43,25 @@ def new_table(title: str, caption: str) -> Table:
         title_justify="left",
         caption_justify="left",
     )
+    for row in rows:
+        table.add_row(*row)
+    return table
+
+
+def build_facts(title: str, caption: str, facts: Mapping[str, str]) -> Table:
+    """Return a table of names and what there is to say of each, wrapped to the terminal."""
+    return build_table(title, caption, [*text(""), Column()], facts.items())
+
+
+def new_table(title: str, caption: str) -> Table:
+    """Return a table without columns, for callers that add columns and rows themselves."""
+    return build_table(title, caption, (), ())
+
+
+def write_record(path: Path, record: dict[str, Any]) -> None:
+    """Write one JSON object to a file of its own.
+
+    Raises:
+        NerfregError: The file cannot be written.
+    """
+    write_json(path, record)

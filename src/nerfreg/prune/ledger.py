@@ -53,31 +53,30 @@ class Difference:
     average: float | None = None
 
 
-Measure = Callable[[Trial], Measurement]
-
-
 class Ledger:
     """All trials of a study, what they cost, and what others would cost.
 
+    Args:
+        measure: Measures a trial.
+        path: Keeps every measurement, one line each, so that none is made twice; None: no file.
+        fingerprint: Stands for all else that a measurement depends on; lines with another stay.
+
     Attributes:
         trials: What was asked for, in order.
+        reused: How many of these were found in the file.
         spent: Seconds of all trials. Counted by their own account and not by the clock, so that a
             study that is started again decides as it did before.
-        reused: How many trials were found in the file.
     """
 
-    def __init__(self, measure: Measure, path: Path | None = None, fingerprint: str = "") -> None:
-        """Read what was measured before.
-
-        Args:
-            measure: Measures a trial.
-            path: A file that keeps every measurement, one line each; None: none does.
-            fingerprint: Stands for everything else that a measurement depends on. Lines with
-                another are left alone.
-        """
+    def __init__(
+        self,
+        measure: Callable[[Trial], Measurement],
+        path: Path | None = None,
+        fingerprint: str = "",
+    ) -> None:
         self.trials: dict[Trial, Measurement] = {}
-        self.spent = 0.0
         self.reused = 0
+        self.spent = 0.0
         self._measure = measure
         self._path = path
         self._fingerprint = fingerprint
@@ -89,14 +88,14 @@ class Ledger:
         self._whole: dict[tuple[Selection, int], list[Measurement]] = {}
 
     def add(self, trial: Trial) -> None:
-        """Measure a trial that is not in the ledger, or take it from the file.
+        """Measure a trial that is not in the ledger, or find it in the file.
 
         Raises:
             NerfregError: The file cannot be written.
         """
-        measurement = self._saved.get(trial)
-        if measurement is not None:
+        if trial in self._saved:
             self.reused += 1
+            measurement = self._saved[trial]
         else:
             measurement = self._measure(trial)
             if self._path:
@@ -146,8 +145,8 @@ def _parsed(text: str, fingerprint: str) -> Iterator[tuple[Trial, Measurement]]:
             record = json.loads(line)
             if record.pop("fingerprint") != fingerprint:
                 continue
-            sets = tuple(record.pop("regularizers")), tuple(record.pop("held_out"))
-            trial = Trial(*sets, record.pop("seed"), record.pop("steps"))
+            names, held_out = tuple(record.pop("regularizers")), tuple(record.pop("held_out"))
+            trial = Trial(names, held_out, record.pop("seed"), record.pop("steps"))
             yield trial, Measurement(**record)
         except (ValueError, KeyError, TypeError, AttributeError):
             continue  # The line was not finished when the program was stopped.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
 from enum import StrEnum
 
@@ -12,8 +12,11 @@ from nerfreg.errors import NerfregError
 Selection = tuple[str, ...]
 """Names of regularizers, in the order of the full set."""
 
+Pair = tuple[Selection, Selection]
+"""Two sets that are compared: the first minus the second."""
+
 Cell = tuple[tuple[int, ...], int]
-"""Positions of the training views that are held out, and a seed: sets are compared cell by cell."""
+"""Positions of the training views that are held out, and a seed. Sets are compared on cells."""
 
 USUAL_FOLDS = 4
 FEWEST_CELLS = 4
@@ -22,24 +25,12 @@ FEWEST_CELLS = 4
 
 @dataclass(frozen=True)
 class Trial:
-    """One training of a set of regularizers.
-
-    Attributes:
-        regularizers: The set.
-        held_out: Positions of the training views that are held out.
-        seed: Seed of the training.
-        steps: Its length.
-    """
+    """One training: of which regularizers, on which cell (views held out, seed), how long."""
 
     regularizers: Selection
     held_out: tuple[int, ...]
     seed: int
     steps: int
-
-    @property
-    def cell(self) -> Cell:
-        """What the trials of other sets share with this one."""
-        return self.held_out, self.seed
 
 
 @dataclass(frozen=True)
@@ -74,31 +65,39 @@ class Design:
     seed: int = 0
 
     @property
+    def views(self) -> int:
+        """The number of training views."""
+        return sum(map(len, self.folds))
+
+    @property
     def first_look(self) -> int:
         """How many cells are measured before anything is judged: whole rounds over the folds."""
         return len(self.folds) * math.ceil(FEWEST_CELLS / len(self.folds))
 
-    def cells(self, count: int) -> tuple[Cell, ...]:
+    def cells(self, count: int) -> list[Cell]:
         """Return the first `count` cells: every fold with the first seed, then with the next."""
-        folds = len(self.folds)
-        return tuple((self.folds[i % folds], self.seed + i // folds) for i in range(count))
+        rounds = [divmod(index, len(self.folds)) for index in range(count)]
+        return [(self.folds[fold], self.seed + turn) for turn, fold in rounds]
 
-    def trials(self, sets: Sequence[Selection], stage: Stage) -> list[Trial]:
-        """Return the trials of a stage: one cell for all sets, then the next.
+    def pair(self, regularizer: str, context: Context) -> Pair:
+        """Return two sets that differ in a regularizer alone, which the first of them has."""
+        if context is Context.ALONE:
+            return (regularizer,), ()
+        return self.full, tuple(name for name in self.full if name != regularizer)
+
+    def trials(self, pairs: Iterable[Pair], stage: Stage) -> list[Trial]:
+        """Return the trials that compare pairs at a stage: one cell for all sets, then the next.
 
         Each cell begins with another set, so that whatever else the machine does affects all alike.
         """
+        distinct = dict.fromkeys(names for pair in pairs for names in pair)
+        # What most comparisons need comes first: time may run out.
+        sets = sorted(distinct, key=lambda names: (names != self.full, names != ()))
         return [
             Trial(sets[(position + turn) % len(sets)], *cell, stage.steps)
             for position, cell in enumerate(self.cells(stage.cells))
             for turn in range(len(sets))
         ]
-
-    def pair(self, regularizer: str, context: Context) -> tuple[Selection, Selection]:
-        """Return two sets that differ in a regularizer, which the first has: full or alone."""
-        if context is Context.ALONE:
-            return (regularizer,), ()
-        return self.full, tuple(name for name in self.full if name != regularizer)
 
     def label(self, regularizers: Selection) -> str:
         """Return the name of a set in tables."""
@@ -113,11 +112,7 @@ class Design:
 
 
 def make_folds(views: int, count: int | None) -> tuple[tuple[int, ...], ...]:
-    """Deal the positions of the training views into folds.
-
-    Args:
-        views: How many training views there are.
-        count: How many folds; None: four, or one for each view where there are fewer.
+    """Deal the positions of training views into folds; None: four, or one a view if fewer.
 
     Raises:
         NerfregError: A fold would be empty, or would leave nothing to train on.
@@ -129,14 +124,10 @@ def make_folds(views: int, count: int | None) -> tuple[tuple[int, ...], ...]:
 
 
 def make_ladder(first: int | None, last: int | None) -> tuple[int, ...]:
-    """Double a number of steps until it reaches that of a whole run.
-
-    Args:
-        first: Steps of the shortest trainings; None: a quarter of `last`.
-        last: Steps of a whole run.
+    """Double the steps of the first trainings (None: a quarter of the last) up to the last.
 
     Raises:
-        NerfregError: `last` is not a number of steps, or `first` is more than `last`.
+        NerfregError: The last is no number of steps, or the first is more.
     """
     if last is None or last < 1:
         raise NerfregError(

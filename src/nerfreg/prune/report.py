@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import asdict
+from itertools import groupby
 from statistics import fmean
 from typing import Any, NamedTuple
 
@@ -12,112 +13,100 @@ from rich.table import Table
 
 from nerfreg.analysis.pareto import front
 from nerfreg.analysis.statistics import ERROR, Interval
-from nerfreg.analysis.tables import new_table
+from nerfreg.analysis.tables import build_table, numbers, text
 from nerfreg.prune.advice import budget_needed, cells_to_judge
-from nerfreg.prune.ledger import Difference, Ledger
-from nerfreg.prune.plan import Context, Design, Selection
-from nerfreg.prune.study import Study, StudyResult
+from nerfreg.prune.ledger import Difference
+from nerfreg.prune.plan import Cell, Context, Selection
+from nerfreg.prune.study import Study
 from nerfreg.prune.verdicts import Verdict, judge, no_worse
 
 
 class RankedSet(NamedTuple):
-    """A set against the full one, and whether it is on the Pareto front of error and time."""
+    """A set minus the full one, and whether it is on the Pareto front of error and time."""
 
     regularizers: Selection
     found: Difference
     on_front: bool
 
 
-def ranked_sets(design: Design, ledger: Ledger) -> list[RankedSet]:
+def ranked_sets(study: Study) -> list[RankedSet]:
     """Compare every set that was trained: the longest trainings first, of these the best first.
 
-    The front is that of trainings of as many steps: sets that look good early often do not later.
-    Intervals are plain ones of 95 %.
+    The front is that of trainings of as many steps, because sets that look good early often do not
+    in the end. Intervals are plain ones of 95 %.
     """
+    full, ledger = study.design.full, study.ledger
     ranked: list[RankedSet] = []
-    for steps in reversed(design.ladder):
-        cells: dict[Selection, list[Any]] = {}
+    for steps in reversed(study.design.ladder):
+        cells: dict[Selection, list[Cell]] = {}
         for trial in ledger.trials:
             if trial.steps == steps:
-                cells.setdefault(trial.regularizers, []).append(trial.cell)
-        level = [
+                cells.setdefault(trial.regularizers, []).append((trial.held_out, trial.seed))
+        known = [
             (names, found)
             for names, own in cells.items()
-            if (found := ledger.difference(names, design.full, own, steps, ERROR)).gain.count
+            if (found := ledger.difference(names, full, own, steps, ERROR)).gain.count
         ]
-        best = front([(-found.gain.mean, found.time.mean) for _, found in level])
-        points = [RankedSet(*entry, index in best) for index, entry in enumerate(level)]
-        ranked += sorted(points, key=lambda point: -point.found.gain.mean)
+        best = front([(-found.gain.mean, found.time.mean) for _, found in known])
+        level = [RankedSet(*entry, index in best) for index, entry in enumerate(known)]
+        ranked += sorted(level, key=lambda entry: -entry.found.gain.mean)
     return ranked
 
 
-def print_report(study: Study, result: StudyResult, scene: str, console: Console) -> None:
+def print_report(study: Study, scene: str, console: Console) -> None:
     """Print both tables, then what they come to."""
-    console.print(_contributions(study, result, scene))
+    console.print(_contributions(study, scene))
     console.print(_sets(study))
-    for line in conclusions(study, result):
+    for line in conclusions(study):
         console.print(line, highlight=False, markup=False, soft_wrap=True)
 
 
-def _contributions(study: Study, result: StudyResult, scene: str) -> Table:
-    folds = study.design.folds
-    table = new_table(
-        f"What each regularizer adds: {scene}, {sum(map(len, folds))} training views",
-        f"dB of PSNR on held-out training views ({len(folds)} folds); in the set: the full set "
-        "against it without this one; alone: this one against vanilla. time: what it adds to a "
-        "step of the set. n: cells (fold, seed). Intervals hold together, for all verdicts and "
-        f"looks, with {100 * (1 - ERROR):g} % confidence. No test view was read.",
-    )
-    table.add_column("regularizer", no_wrap=True)
-    for header in ("in the set, dB", "alone, dB", "time, %", "steps", "n"):
-        table.add_column(header, justify="right", no_wrap=True)
-    table.add_column("verdict", no_wrap=True)
-    for name, found in result.findings[Context.SET].items():
-        alone = result.findings[Context.ALONE][name]
+def _contributions(study: Study, scene: str) -> Table:
+    rows = []
+    for name, found in study.findings[Context.SET].items():
+        alone = study.findings[Context.ALONE][name]
         figures = ends(found.gain), ends(alone.gain), ends(found.time, 100.0, 0)
-        verdict = judge(found.gain, study.tolerance)
-        table.add_row(name, *figures, str(found.steps), str(found.gain.count), verdict.value)
-    return table
+        verdict = judge(found.gain, study.tolerance).value
+        rows.append((name, *figures, str(found.steps), str(found.gain.count), verdict))
+    columns = numbers("in the set, dB", "alone, dB", "time, %", "steps", "n")
+    return build_table(
+        f"What each regularizer adds: {scene}, {study.design.views} training views",
+        f"dB of PSNR on held-out training views ({len(study.design.folds)} folds); in the set: the "
+        "full set against it without this one; alone: this one against vanilla. time: what it adds "
+        "to a step of the set. n: cells (fold, seed). Intervals hold together, for all verdicts "
+        f"and looks, with {100 * (1 - ERROR):g} % confidence. No test view was read.",
+        [*text("regularizer"), *columns, *text("verdict")],
+        rows,
+    )
 
 
 def _sets(study: Study) -> Table:
-    ranked = ranked_sets(study.design, study.ledger)
-    averages = any(point.found.average is not None for point in ranked)
-    table = new_table(
+    ranked, full = ranked_sets(study), study.design.full
+    average = ["average"] if any(entry.found.average is not None for entry in ranked) else []
+    table = build_table(
         f"Sets, against the full one{_level(study)}",
         "* on the Pareto front of error and time, by the means, of as many steps. Intervals of "
         "95 % each, over the cells that a set shares with the full one.",
+        [*text("", "set"), *numbers("dB", "95 %", *average, "time, %", "steps", "n")],
+        [],
     )
-    for header in ("", "set"):
-        table.add_column(header, no_wrap=True)
-    for header in ("dB", "95 %", *(["average"] if averages else []), "time, %", "steps", "n"):
-        table.add_column(header, justify="right", no_wrap=True)
-    for (names, found, on_front), below in zip(ranked, [*ranked[1:], None], strict=True):
-        average = "" if found.average is None else f"{found.average:+.4f}"
-        table.add_row(
-            "*" if on_front else "",
-            study.design.label(names),
-            f"{found.gain.mean:+.2f}",
-            "" if names == study.design.full else ends(found.gain),
-            *([average] if averages else []),
-            f"{100 * found.time.mean:+.0f}",
-            str(found.steps),
-            str(found.gain.count),
-            end_section=below is None or below.found.steps != found.steps,
-        )
+    for steps, level in groupby(ranked, key=lambda entry: entry.found.steps):
+        for names, found, on_front in level:
+            row = ["*" if on_front else "", study.design.label(names), f"{found.gain.mean:+.2f}"]
+            row += ["" if names == full else ends(found.gain)]
+            row += ["" if found.average is None else f"{found.average:+.4f}" for _ in average]
+            row += [f"{100 * found.time.mean:+.0f}", str(steps), str(found.gain.count)]
+            table.add_row(*row)
+        table.add_section()
     return table
 
 
 def _level(study: Study) -> str:
-    """Say what the full set reaches after its longest trainings."""
-    full = [
-        (t.steps, m.psnr)
-        for t, m in study.ledger.trials.items()
-        if t.regularizers == study.design.full
-    ]
-    steps = max((steps for steps, psnr in full if psnr is not None), default=0)
-    values = [psnr for own, psnr in full if own == steps and psnr is not None]
-    return f" ({fmean(values):.2f} dB after {steps} steps)" if values else ""
+    psnr: dict[int, list[float]] = {}
+    for trial, measured in study.ledger.trials.items():
+        if trial.regularizers == study.design.full and measured.psnr is not None:
+            psnr.setdefault(trial.steps, []).append(measured.psnr)
+    return f" ({fmean(psnr[max(psnr)]):.2f} dB after {max(psnr)} steps)" if psnr else ""
 
 
 def ends(interval: Interval, factor: float = 1.0, digits: int = 2, between: str = "..") -> str:
@@ -127,30 +116,29 @@ def ends(interval: Interval, factor: float = 1.0, digits: int = 2, between: str 
     return f"{factor * interval.low:+.{digits}f}{between}{factor * interval.high:+.{digits}f}"
 
 
-def conclusions(study: Study, result: StudyResult) -> Iterator[str]:
+def conclusions(study: Study) -> Iterator[str]:
     """Say what was found, a sentence a line."""
-    for name, found in result.findings[Context.SET].items():
+    for name, found in study.findings[Context.SET].items():
         yield f"{name}: {finding_sentence(found, study.tolerance)}"
-    for names, found in result.confirmations.items():
-        yield _confirmation_sentence(names, found, study.tolerance)
-    dropped = [name for name in study.design.full if name not in result.pruned]
-    if dropped:
-        kept = ", ".join(result.pruned) or "nothing (vanilla)"
-        yield f"Pruned set: {kept}. Dropped: {', '.join(dropped)}."
-    elif len(result.proposals) == 1:
+    for names, found in study.confirmations.items():
+        yield f"{'+'.join(names) or 'vanilla'} against the full set: {_confirmed(study, found)}."
+    if study.dropped:
+        kept = ", ".join(study.pruned) or "nothing (vanilla)"
+        yield f"Pruned set: {kept}. Dropped: {', '.join(study.dropped)}."
+    elif len(study.proposals) == 1:
         yield "Every regularizer stays."
-    elif not result.confirmations:
+    elif not study.confirmations:
         yield "There was no time to confirm a smaller set: every regularizer stays."
     else:
         yield "No smaller set could be shown to be as good: every regularizer stays."
-    seconds = budget_needed(study, result)
+    seconds = budget_needed(study)
     if seconds is not None:
         time = f"{seconds / 60:.0f} min" if seconds < 7200 else f"{seconds / 3600:.1f} h"
         yield f"To tell more, a budget of about {time} would probably do: --budget {seconds}."
 
 
 def finding_sentence(found: Difference, tolerance: float) -> str:
-    """Return a verdict with its figures, and with what it would take where it is none."""
+    """Return a verdict with its figures, or what it would take to have one."""
     low, high, both = found.gain.low, found.gain.high, ends(found.gain, between=" to ")
     match judge(found.gain, tolerance):
         case Verdict.HELPS:
@@ -166,58 +154,50 @@ def finding_sentence(found: Difference, tolerance: float) -> str:
     return f"cannot tell ({both} dB); {number} cells would, there are {found.gain.count}"
 
 
-def _confirmation_sentence(names: Selection, found: Difference, tolerance: float) -> str:
-    verdict = {
-        True: f"confirmed, not worse by more than {tolerance:g} dB",
-        False: f"refused, worse by more than {tolerance:g} dB",
-        None: "cannot tell",
-    }[no_worse(found.gain, tolerance)]
-    count, time = found.gain.count, f"{100 * found.time.mean:+.0f} % time"
-    figures = "" if count < 2 else f"{ends(found.gain)} dB, {time}, "
-    label = "+".join(names) or "vanilla"
-    return (
-        f"{label} against the full set: {figures}{count} cells of {found.steps} steps: {verdict}."
-    )
+def _confirmed(study: Study, found: Difference) -> str:
+    within = f"worse by more than {study.tolerance:g} dB"
+    verdicts = {True: f"confirmed, not {within}", False: f"refused, {within}", None: "cannot tell"}
+    figures = f"{ends(found.gain)} dB, {100 * found.time.mean:+.0f} % time, "
+    cells = f"{found.gain.count} cells of {found.steps} steps"
+    verdict = verdicts[no_worse(found.gain, study.tolerance)]
+    return f"{figures if found.gain.count > 1 else ''}{cells}: {verdict}"
 
 
-def record(study: Study, result: StudyResult, scene: str) -> dict[str, Any]:
+def record(study: Study) -> dict[str, Any]:
     """Return everything that the study measured and concluded, for `prune.json`."""
-    design, ledger = study.design, study.ledger
+    design, tolerance = study.design, study.tolerance
     return {
-        "scene": scene,
-        "views": sum(map(len, design.folds)),
+        "views": design.views,
         "budget": study.budget,
-        "spent": ledger.spent,
-        "tolerance": study.tolerance,
+        "spent": study.ledger.spent,
+        "tolerance": tolerance,
         "design": {**asdict(design), "first_look": design.first_look},
         "contributions": [
-            {"regularizer": name, "context": context}
-            | dict(zip(("having", "lacking"), design.pair(name, context), strict=True))
+            {"regularizer": name, "context": context, "having": pair[0], "lacking": pair[1]}
             | _figures(found, "steps", "error", "gain", "time")
-            | {"verdict": judge(found.gain, study.tolerance)}
-            for context, findings in result.findings.items()
+            | {"verdict": judge(found.gain, tolerance)}
+            for context, findings in study.findings.items()
             for name, found in findings.items()
+            for pair in [design.pair(name, context)]
         ],
         "sets": [
-            {"regularizers": names}
+            {"regularizers": names, "on_front": on_front}
             | _figures(found, "steps", "gain", "time", "average")
-            | {"on_front": on_front}
-            for names, found, on_front in ranked_sets(design, ledger)
+            for names, found, on_front in ranked_sets(study)
         ],
-        "proposals": result.proposals,
+        "proposals": study.proposals,
         "confirmations": [
-            {"regularizers": names}
+            {"regularizers": names, "passed": no_worse(found.gain, tolerance)}
             | _figures(found, "error", "gain", "time")
-            | {"passed": no_worse(found.gain, study.tolerance)}
-            for names, found in result.confirmations.items()
+            for names, found in study.confirmations.items()
         ],
-        "pruned": result.pruned,
-        "dropped": [name for name in design.full if name not in result.pruned],
-        "budget_needed": budget_needed(study, result),
-        "trials": [asdict(trial) | asdict(m) for trial, m in ledger.trials.items()],
+        "pruned": study.pruned,
+        "dropped": study.dropped,
+        "budget_needed": budget_needed(study),
+        "trials": [asdict(trial) | asdict(m) for trial, m in study.ledger.trials.items()],
     }
 
 
-def _figures(found: Difference, *keys: str) -> dict[str, Any]:
+def _figures(found: Difference, *names: str) -> dict[str, Any]:
     figures = asdict(found)
-    return {key: figures[key] for key in keys}
+    return {name: figures[name] for name in names}

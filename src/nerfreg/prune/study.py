@@ -1,74 +1,64 @@
-"""The study: contributions by trainings of increasing length, then the smaller set confirmed."""
+"""The study: contributions by trainings of increasing length, then a smaller set confirmed."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Collection, Iterable
+from dataclasses import dataclass, field
 
 from nerfreg.analysis.statistics import error_of_look
 from nerfreg.prune.ledger import Difference, Ledger
-from nerfreg.prune.plan import Context, Design, Selection, Stage
+from nerfreg.prune.plan import Context, Design, Pair, Selection, Stage
 from nerfreg.prune.verdicts import Verdict, judge, no_worse, proposals
 
 CONTRIBUTIONS_SHARE = 2 / 3
 """Of the budget; the rest is for confirming."""
 
 
-@dataclass(frozen=True)
-class StudyResult:
-    """What a study found.
+@dataclass
+class Study:
+    """Measures, judges and decides within a budget.
 
     Attributes:
+        design: What trials are chosen from.
+        ledger: Measures them.
+        budget: Seconds of all trials together.
+        tolerance: dB of PSNR that count as no difference.
+        say: Takes a line about each trial before it is measured.
         findings: What each regularizer adds, as it stands after the last look at it.
         proposals: The smaller sets to try, in order, and the full one behind them.
         confirmations: Those that were compared with the full set, by whole runs.
         pruned: The one that was confirmed, or the full set.
     """
 
-    findings: dict[Context, dict[str, Difference]]
-    proposals: tuple[Selection, ...]
-    confirmations: dict[Selection, Difference]
-    pruned: Selection
+    design: Design
+    ledger: Ledger
+    budget: float
+    tolerance: float
+    say: Callable[[str], None]
+    findings: dict[Context, dict[str, Difference]] = field(init=False)
+    proposals: tuple[Selection, ...] = field(init=False, default=())
+    confirmations: dict[Selection, Difference] = field(init=False, default_factory=dict)
+    pruned: Selection = field(init=False)
 
-
-class Study:
-    """Measures, judges and decides within a budget."""
-
-    def __init__(
-        self,
-        design: Design,
-        ledger: Ledger,
-        budget: float,
-        tolerance: float,
-        say: Callable[[str], None],
-    ) -> None:
-        """Prepare a study.
-
-        Args:
-            design: What to choose trials from.
-            ledger: Measures them.
-            budget: Seconds of all trials together.
-            tolerance: dB of PSNR that count as no difference.
-            say: Takes a line about each trial before it is measured.
-        """
-        self.design = design
-        self.ledger = ledger
-        self.budget = budget
-        self.tolerance = tolerance
-        self._say = say
-        self._first_stage = self._stage = Stage(design.ladder[0], design.first_look)
-        self._findings: dict[Context, dict[str, Difference]] = {c: {} for c in Context}
+    def __post_init__(self) -> None:
+        self.findings = {context: {} for context in Context}
+        self.pruned = self.design.full
+        self._first = self._stage = Stage(self.design.ladder[0], self.design.first_look)
         self._looks = self._confirming_looks = 0
 
-    def run(self) -> StudyResult:
+    @property
+    def dropped(self) -> list[str]:
+        """Regularizers of the full set that the pruned one lacks."""
+        return [name for name in self.design.full if name not in self.pruned]
+
+    def run(self) -> None:
         """Find contributions, propose smaller sets, and confirm one of them."""
         self._contribute(CONTRIBUTIONS_SHARE * self.budget)
-        result = self._decide()
-        if result.confirmations or len(result.proposals) == 1:
-            return result
-        # There is no time to confirm anything, but perhaps to know more of the contributions.
-        self._contribute(self.budget)
-        return self._decide()
+        self._decide()
+        if not self.confirmations and len(self.proposals) > 1:
+            # There is no time to confirm anything, but perhaps to know more of the contributions.
+            self._contribute(self.budget)
+            self._decide()
 
     def _contribute(self, until: float) -> None:
         """Compare everything at the first stage, then what is undecided at further ones.
@@ -76,36 +66,45 @@ class Study:
         Adding to vanilla is measured at the first stage only: no verdict depends on it. Called
         again with more time, this goes on with the stage at which it stopped.
         """
-        while undecided := self._undecided(
-            *(Context if self._stage == self._first_stage else (Context.SET,))
-        ):
-            self._measure(self._sets(undecided), self._stage, until)
+        while pairs := self._undecided(Context if self._stage == self._first else [Context.SET]):
             self._looks += 1
             error = error_of_look(self._looks, len(self.design.full))
-            for context, name in undecided:
-                new = self._difference(*self.design.pair(name, context), self._stage, error)
-                known = self._findings[context]
-                known[name] = self._better(known.get(name), new)
-            undecided = self._undecided(Context.SET)
-            following = self._following(self._stage, self._sets(undecided), until)
-            if not undecided or following is None:
+            found = self._compare(pairs.values(), self._stage, error, until)
+            for (context, name), new in zip(pairs, found, strict=True):
+                old = self.findings[context].get(name, new)
+                self.findings[context][name] = max(old, new, key=self._says)
+            left = self._undecided([Context.SET]).values()
+            following = self._following(left, self._stage, until)
+            if not left or following is None:
                 return
             self._stage = following
 
-    def _decide(self) -> StudyResult:
+    def _undecided(self, contexts: Iterable[Context]) -> dict[tuple[Context, str], Pair]:
+        return {
+            (context, name): self.design.pair(name, context)
+            for context in contexts
+            for name in self.design.full
+            if (found := self.findings[context].get(name)) is None or not self._says(found)[0]
+        }
+
+    def _says(self, found: Difference) -> tuple[bool, int, float]:
+        """Order findings: those that decide, those of longer trainings, those of narrower ends."""
+        decided = judge(found.gain, self.tolerance) is not Verdict.CANNOT_TELL
+        return decided, found.steps * (found.gain.count > 1), found.gain.low - found.gain.high
+
+    def _decide(self) -> None:
         """Confirm the first proposal that is no worse than the full set."""
-        in_set, alone = self._findings[Context.SET], self._findings[Context.ALONE]
-        chain = proposals(self.design.full, in_set, alone, self.tolerance)
-        confirmations: dict[Selection, Difference] = {}
-        for proposal in chain[:-1]:
+        in_set, alone = self.findings[Context.SET], self.findings[Context.ALONE]
+        self.proposals = proposals(self.design.full, in_set, alone, self.tolerance)
+        for proposal in self.proposals[:-1]:
             left = self.budget - self.ledger.spent
-            share = left if proposal == chain[-2] else left / 2
+            share = left if proposal == self.proposals[-2] else left / 2
             found = self._confirm(proposal, self.ledger.spent + share)
             if found is not None:
-                confirmations[proposal] = found
+                self.confirmations[proposal] = found
                 if no_worse(found.gain, self.tolerance):
-                    return StudyResult(self._findings, chain, confirmations, proposal)
-        return StudyResult(self._findings, chain, confirmations, self.design.full)
+                    self.pruned = proposal
+                    return
 
     def _confirm(self, proposal: Selection, until: float) -> Difference | None:
         """Compare a smaller set with the full one until it is clear whether it is worse.
@@ -113,78 +112,44 @@ class Study:
         By whole runs, since many a regularizer hurts a short training and pays off in a long one;
         None if there is no time for them.
         """
-        sets = (self.design.full, proposal)
-        stage: Stage | None = Stage(self.design.ladder[-1], self.design.first_look)
+        pairs = [(proposal, self.design.full)]
+        whole = Stage(self.design.ladder[-1], self.design.first_look)
+        stage = whole if self._fits(pairs, whole, until) else None
         found = None
-        if not self._fits(sets, stage, until):
-            return None
-        while stage is not None:
-            self._measure(sets, stage, until)
+        while stage is not None and (found is None or no_worse(found.gain, self.tolerance) is None):
             self._confirming_looks += 1
             error = error_of_look(self._confirming_looks, 1)
-            found = self._difference(proposal, self.design.full, stage, error)
-            if no_worse(found.gain, self.tolerance) is not None:
-                break
-            stage = self._following(stage, sets, until)
+            [found] = self._compare(pairs, stage, error, until)
+            stage = self._following(pairs, stage, until)
         return found
 
-    def _undecided(self, *contexts: Context) -> list[tuple[Context, str]]:
-        return [
-            (context, name)
-            for context in contexts
-            for name in self.design.full
-            if (found := self._findings[context].get(name)) is None or not self._decides(found)
-        ]
-
-    def _decides(self, found: Difference) -> bool:
-        return judge(found.gain, self.tolerance) is not Verdict.CANNOT_TELL
-
-    def _better(self, old: Difference | None, new: Difference) -> Difference:
-        """Choose what decides, else longer trainings, else the narrower interval."""
-        if old is None or self._decides(new):
-            return new
-        if new.gain.count < min(old.gain.count, 2):
-            return old
-        if new.steps > old.steps and new.gain.count >= 2:
-            return new
-        return new if new.gain.high - new.gain.low < old.gain.high - old.gain.low else old
-
-    def _difference(
-        self, first: Selection, second: Selection, stage: Stage, error: float
-    ) -> Difference:
-        return self.ledger.difference(
-            first, second, self.design.cells(stage.cells), stage.steps, error
-        )
-
-    def _sets(self, undecided: Sequence[tuple[Context, str]]) -> tuple[Selection, ...]:
-        """Return the full set and vanilla first, then the others, each once."""
-        pairs = (self.design.pair(name, context) for context, name in undecided)
-        sets = {names: None for pair in pairs for names in pair}
-        return tuple(sorted(sets, key=lambda names: names not in (self.design.full, ())))
-
-    def _measure(self, sets: Sequence[Selection], stage: Stage, until: float) -> None:
-        """Measure the trials of a stage as long as there is time."""
-        for position, trial in enumerate(self.design.trials(sets, stage)):
+    def _compare(
+        self, pairs: Collection[Pair], stage: Stage, error: float, until: float
+    ) -> list[Difference]:
+        """Measure the trials of a stage while there is time, then compare what there is."""
+        cells = self.design.cells(stage.cells)
+        for trial in self.design.trials(pairs, stage):
             if trial in self.ledger.trials:
                 continue
             if self.ledger.spent + self.ledger.cost([trial]) > until:
-                return
+                break
             held_out = ",".join(map(str, trial.held_out))
-            self._say(
+            position = cells.index((trial.held_out, trial.seed)) + 1
+            self.say(
                 f"{self.ledger.spent:5.0f} of {self.budget:.0f} s: "
-                f"{self.design.label(trial.regularizers)}, {trial.steps} steps, "
-                f"view {held_out} held out, seed {trial.seed} "
-                f"(cell {position // len(sets) + 1} of {stage.cells})"
+                f"{self.design.label(trial.regularizers)}, {trial.steps} steps, view {held_out} "
+                f"held out, seed {trial.seed} (cell {position} of {stage.cells})"
             )
             self.ledger.add(trial)
+        return [self.ledger.difference(*pair, cells, stage.steps, error) for pair in pairs]
 
-    def _following(self, stage: Stage, sets: Sequence[Selection], until: float) -> Stage | None:
+    def _following(self, pairs: Collection[Pair], stage: Stage, until: float) -> Stage | None:
         """Return the first of these that fits: longer trainings, up to twice the cells, nothing."""
         longer = [steps for steps in self.design.ladder if steps > stage.steps]
         more = range(stage.cells, 0, -len(self.design.folds))
         stages = [Stage(steps, self.design.first_look) for steps in longer[:1]]
         stages += [Stage(stage.steps, stage.cells + cells) for cells in more]
-        return next((larger for larger in stages if self._fits(sets, larger, until)), None)
+        return next((larger for larger in stages if self._fits(pairs, larger, until)), None)
 
-    def _fits(self, sets: Sequence[Selection], stage: Stage, until: float) -> bool:
-        return self.ledger.spent + self.ledger.cost(self.design.trials(sets, stage)) <= until
+    def _fits(self, pairs: Collection[Pair], stage: Stage, until: float) -> bool:
+        return self.ledger.spent + self.ledger.cost(self.design.trials(pairs, stage)) <= until

@@ -6,9 +6,8 @@ import gc
 import math
 import time
 from collections.abc import Callable, Sequence
-from copy import deepcopy
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
 from itertools import pairwise
 from statistics import fmean, median
 
@@ -33,90 +32,75 @@ TENTHS = 10
 class Trials:
     """Measures trials of a configuration.
 
+    Args:
+        config: Holds some training view out already, so that no test view is even looked for.
+        stride: Scores every so many rows and columns; at 1 also LPIPS, if `eval.lpips` is on.
+        report: Takes a line about every step that was left out.
+
     Attributes:
-        scene: With the first training view held out.
+        scene: The scene of `config`.
+
+    Raises:
+        NerfregError: The scene cannot be used, or has a single training view.
     """
 
     def __init__(self, config: Config, stride: int, report: Callable[[str], None]) -> None:
-        """Load what all trials share.
-
-        Args:
-            config: Already holds some training view out, so that no test view is ever looked for.
-            stride: Every how many rows and columns are scored. `average` is known at 1 only, and
-                needs `eval.lpips`.
-            report: Takes a line about every step that was left out.
-
-        Raises:
-            NerfregError: The scene cannot be used, or has a single training view.
-        """
         keep_large_blocks()
-        self.scene = _held_out_scene(config)
+        self.scene = _scene(config)
         self._config = config
         self._stride = stride
         self._report = report
         self._device = prepare(config)
-        scores_lpips = stride == 1 and config.eval.lpips
-        self._lpips = load_lpips(config.eval.lpips_weights) if scores_lpips else None
+        lpips = stride == 1 and config.eval.lpips
+        self._lpips = load_lpips(config.eval.lpips_weights) if lpips else None
         self._read_image = cache(self.scene.read_image)
 
     def __call__(self, trial: Trial) -> Measurement:
         """Train and score; there is no score if too many steps in a row were not finite."""
         begun = time.perf_counter()
-        config = self._config
-        held_out = replace(
-            config.scene, held_out=list(trial.held_out), layout=self.scene.layout
-        )  # All cells share one layout, and with it the defaults that depend on it.
-        scene = replace(load_scene(held_out), read_image=self._read_image, read_depth=None)
-        # Copies, because a plugin may remember something of a training that it took part in.
-        plugins = {
-            name: in_share(deepcopy(config.reg[name]), trial.steps, config.train.steps)
-            for name in trial.regularizers
-        }
-        trainer = Trainer(
-            scene,
-            Hooks(plugins),
-            config.field,
-            config.sampler,
-            config.optim,
-            replace(config.train, steps=trial.steps, seconds=None),
-            trial.seed,
-            self._device,
-            Guard(None, self._report),
-        )
-        scores: Scores | None = None
-        failure: str | None = None
-        before = trainer.budget.seconds
-        clock = [before]
+        trainer = self._trainer(trial)
+        scores, failure = None, None
+        clock = [before := trainer.budget.seconds]
         try:
             while trainer.budget.fraction < 1:
                 trainer.step()
                 clock.append(trainer.budget.seconds)
-            scores = self._score(trainer, scene)
+            scores = self._score(trainer)
         except NonFiniteError as error:
             failure = str(error)
         del trainer
         gc.collect()  # A trainer and its steps refer to each other; the next needs the memory.
         return Measurement(
-            psnr=_finite(scores.psnr if scores else None),
-            average=_finite(scores.average if scores else None),
-            step_seconds=usual_time(clock) + before / (config.train.steps or trial.steps),
+            psnr=scores.psnr if scores and math.isfinite(scores.psnr) else None,
+            average=scores.average if scores else None,
+            step_seconds=usual_time(clock) + before / (self._config.train.steps or trial.steps),
             seconds=time.perf_counter() - begun,
             failure=failure,
         )
 
-    def _score(self, trainer: Trainer, scene: Scene) -> Scores:
+    def _trainer(self, trial: Trial) -> Trainer:
+        config, held_out = self._config, list(trial.held_out)
+        # Judged by its own training cameras, a cell might have another layout than the next.
+        cell = replace(config.scene, held_out=held_out, layout=self.scene.layout)
+        scene = replace(load_scene(cell), read_image=self._read_image, read_depth=None)
+        plugins = {
+            name: in_share(config.reg[name], trial.steps, config.train.steps)
+            for name in trial.regularizers
+        }
+        train = replace(config.train, steps=trial.steps, seconds=None)
+        guard, device, seed = Guard(None, self._report), self._device, trial.seed
+        field, sampler, optim = config.field, config.sampler, config.optim
+        return Trainer(scene, Hooks(plugins), field, sampler, optim, train, seed, device, guard)
+
+    def _score(self, trainer: Trainer) -> Scores:
+        scene, stride = trainer.scene, self._stride
         with trainer.average.applied():
-            renderer = ViewRenderer(trainer.field, self._config.sampler, scene)
-            return score_views(
-                scene,
-                scene.test,
-                lambda view: renderer.view(scene.cameras, view, self._stride),
-                self._lpips,
-                self._stride,
-            )
+            views = ViewRenderer(trainer.field, self._config.sampler, scene)
+            render = partial(views.view, scene.cameras, stride=stride)
+            return score_views(scene, scene.test, render, self._lpips, stride)
 
 
-def _held_out_scene(config: Config) -> Scene:
+def _scene(config: Config) -> Scene:
     try:
         return load_scene(config.scene)
     except NerfregError as error:
@@ -129,22 +113,25 @@ def _held_out_scene(config: Config) -> Scene:
 
 
 def usual_time(clock: Sequence[float]) -> float:
-    """Return the seconds of a step, the mean over the tenths of a training of the median in each.
+    """Return the seconds of a step: the mean over the tenths of a training of the median in each.
 
     A median, because other programs interrupt; tenths, because what a step costs depends on the
     share of the budget that is spent.
 
     Args:
-        clock: Seconds before the first step and after each; 0 is returned if there was no step.
+        clock: Seconds before the first step and after each; without a step the result is 0.
     """
     seconds = [after - before for before, after in pairwise(clock)]
     parts = min(TENTHS, len(seconds))
-    borders = [len(seconds) * part // parts for part in range(parts + 1)] if parts else [0]
-    return fmean(median(seconds[a:b]) for a, b in pairwise(borders)) if parts else 0.0
+    borders = [len(seconds) * part // max(parts, 1) for part in range(parts + 1)]
+    return fmean([median(seconds[a:b]) for a, b in pairwise(borders)] or [0.0])
 
 
 def in_share(plugin: Regularizer, steps: int, whole: int | None) -> Regularizer:
-    """Move a window in steps of a whole run to the same shares of a training of `steps`."""
+    """Copy a plugin; a window in steps of a whole run moves to the same shares of `steps`.
+
+    Always a copy, because a plugin may remember something of a training that it took part in.
+    """
 
     def moved(value: int | float) -> int | float:
         return value if isinstance(value, float) or whole is None else round(value * steps / whole)
@@ -152,10 +139,4 @@ def in_share(plugin: Regularizer, steps: int, whole: int | None) -> Regularizer:
     start, end = moved(plugin.start), moved(plugin.end)
     if isinstance(start, int) and isinstance(end, int):
         end = max(end, start + 1)
-    if (start, end) == (plugin.start, plugin.end):
-        return plugin
     return replace(plugin, start=start, end=end)
-
-
-def _finite(value: float | None) -> float | None:
-    return value if value is not None and math.isfinite(value) else None
