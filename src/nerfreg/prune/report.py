@@ -133,8 +133,13 @@ def conclusions(study: Study) -> Iterator[str]:
         yield "No smaller set could be shown to be as good: every regularizer stays."
     seconds = budget_needed(study)
     if seconds is not None:
-        time = f"{seconds / 60:.0f} min" if seconds < 7200 else f"{seconds / 3600:.1f} h"
+        time = duration(seconds)
         yield f"To tell more, a budget of about {time} would probably do: --budget {seconds}."
+
+
+def duration(seconds: int) -> str:
+    """Return `90 min`, or `2.5 h` from two hours on."""
+    return f"{seconds / 60:.0f} min" if seconds < 7200 else f"{seconds / 3600:.1f} h"
 
 
 def finding_sentence(found: Difference, tolerance: float) -> str:
