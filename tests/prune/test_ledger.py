@@ -1,12 +1,14 @@
 from __future__ import annotations
 
 import json
+import math
 from pathlib import Path
 
 import pytest
 
+from nerfreg.analysis.statistics import Interval
 from nerfreg.errors import NerfregError
-from nerfreg.prune.ledger import Ledger, Measurement
+from nerfreg.prune.ledger import Difference, Ledger, Measurement, Verdict
 from nerfreg.prune.plan import Trial
 
 CELL, OTHER_CELL = ((0, 4), 3), ((1,), 3)
@@ -120,3 +122,41 @@ def test_differences_are_paired_by_cell() -> None:
     assert found.average == pytest.approx(-0.01)
     alone = ledger.difference(("a",), (), cells, 20, 0.05)
     assert (alone.gain.count, alone.time.count, alone.average) == (0, 0, None)
+
+
+def gaining(low: float, high: float) -> Difference:
+    gain = Interval((low + high) / 2, low, high, 6, 0.1)
+    return Difference(10, 0.01, gain, gain)
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "verdict"),
+    [
+        (0.2, 0.9, Verdict.HELPS),
+        (0.02, 0.9, Verdict.HELPS),
+        (0.02, 0.09, Verdict.NO_DIFFERENCE),  # It is certain, and too little to matter.
+        (-0.1, 0.1, Verdict.NO_DIFFERENCE),
+        (-0.1, 0.11, Verdict.CANNOT_TELL),
+        (0.0, 0.5, Verdict.CANNOT_TELL),
+        (-0.5, -0.01, Verdict.HURTS),
+        (-0.09, -0.01, Verdict.NO_DIFFERENCE),
+        (-math.inf, math.inf, Verdict.CANNOT_TELL),
+    ],
+)
+def test_verdict(low: float, high: float, verdict: Verdict) -> None:
+    assert gaining(low, high).verdict(0.1) is verdict
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "passed"),
+    [
+        (-0.1, 0.5, True),
+        (0.2, 0.5, True),
+        (-0.5, -0.11, False),
+        (-0.5, -0.1, None),
+        (-0.11, 0.5, None),
+        (-math.inf, math.inf, None),
+    ],
+)
+def test_no_worse(low: float, high: float, passed: bool | None) -> None:
+    assert gaining(low, high).no_worse(0.1) is passed

@@ -10,16 +10,24 @@ from rich.console import Console
 
 from nerfreg.analysis.statistics import Interval
 from nerfreg.files import json_text
-from nerfreg.prune.ledger import Ledger, Measurement
+from nerfreg.prune.ledger import Difference, Ledger, Measurement
 from nerfreg.prune.plan import Design, Trial, make_folds, make_ladder
-from nerfreg.prune.report import conclusions, duration, ends, print_report, ranked_sets, record
+from nerfreg.prune.report import (
+    conclusions,
+    duration,
+    ends,
+    finding_sentence,
+    print_report,
+    ranked_sets,
+    record,
+)
 from nerfreg.prune.study import Study
 
 GAINS = {"kl": 1.0, "lipschitz": -1.0}
 
 
 def measure(trial: Trial) -> Measurement:
-    """kl helps by 1 dB; lipschitz hurts by 1 dB and doubles the time of a step; noise of 0.01 dB."""
+    """Let kl help by 1 dB, lipschitz hurt as much and double the time of a step."""
     noise = random.Random(repr(trial)).gauss(0, 0.01)
     level = 20.0 + trial.seed + sum(GAINS[name] for name in trial.regularizers)
     step_seconds = 0.02 if "lipschitz" in trial.regularizers else 0.01
@@ -98,3 +106,15 @@ def test_numbers_in_words() -> None:
     assert ends(Interval(0.1, -0.1, 0.3, 4, 0.1), 100.0, 0) == "-10..+30"
     assert ends(Interval(0.1, -math.inf, math.inf, 1, math.nan)) == "?"
     assert [duration(seconds) for seconds in (60, 7140, 9000)] == ["1 min", "119 min", "2.5 h"]
+
+
+def test_sentences() -> None:
+    def sentence(low: float, high: float, count: int = 6) -> str:
+        gain = Interval((low + high) / 2, low, high, count, 0.1)
+        return finding_sentence(Difference(10, 0.01, gain, gain), 0.1)
+
+    assert sentence(0.2, 0.9) == "helps by 0.20 to 0.90 dB"
+    assert sentence(-0.9, -0.2) == "hurts by 0.20 to 0.90 dB"
+    assert sentence(-0.05, 0.02) == "makes no difference beyond 0.1 dB (-0.05 to +0.02 dB)"
+    assert sentence(-0.5, 0.2).startswith("cannot tell (-0.50 to +0.20 dB); ")
+    assert sentence(-math.inf, math.inf, 1) == "cannot tell: too few cells"

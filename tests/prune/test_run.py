@@ -17,8 +17,8 @@ from nerfreg.prune.run import fingerprint
 
 TINY = [
     "scene.size=16", "scene.views=2", "scene.test_views=1", "field.levels=2",
-    "field.log2_entries=8", "train.rays=32", "sampler.coarse=8", "sampler.fine=8", "train.steps=4", "train.threads=1",
-    "sampler.skip_resolution=8",
+    "field.log2_entries=8", "train.rays=32", "sampler.coarse=8", "sampler.fine=8",
+    "train.steps=4", "train.threads=1", "sampler.skip_resolution=8",
 ]  # fmt: skip
 
 

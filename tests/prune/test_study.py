@@ -7,11 +7,11 @@ from collections.abc import Callable
 
 import pytest
 
+from nerfreg.analysis.statistics import Interval
 from nerfreg.prune.advice import budget_needed
-from nerfreg.prune.ledger import Ledger, Measurement
+from nerfreg.prune.ledger import Difference, Ledger, Measurement, Verdict
 from nerfreg.prune.plan import Context, Design, Selection, Trial, make_folds, make_ladder
-from nerfreg.prune.study import Study
-from nerfreg.prune.verdicts import Verdict, judge, no_worse
+from nerfreg.prune.study import Study, proposals
 
 TOLERANCE = 0.1
 Gain = Callable[[Selection], float]
@@ -48,12 +48,12 @@ def additive(**gains: float) -> Gain:
 
 
 def verdicts(study: Study, context: Context = Context.SET) -> dict[str, Verdict]:
-    return {name: judge(found.gain, TOLERANCE) for name, found in study.findings[context].items()}
+    return {name: found.verdict(TOLERANCE) for name, found in study.findings[context].items()}
 
 
 @pytest.fixture(scope="module")
 def clear() -> Study:
-    """a helps by 1 dB, b does nothing, c hurts by 1 dB; differences deviate by 0.3 dB."""
+    """Let a help by 1 dB, b do nothing, c hurt by 1 dB; differences deviate by 0.3 dB."""
     return studied("abc", made_up(additive(a=1.0, b=0.0, c=-1.0), 0.3 / 2**0.5), 6000.0)
 
 
@@ -131,7 +131,7 @@ def test_one_of_two_that_replace_each_other_goes() -> None:
 
     study = studied("ab", made_up(gain, 0.005), 6000.0)
     assert verdicts(study)["b"] is Verdict.NO_DIFFERENCE
-    passed = {names: no_worse(c.gain, TOLERANCE) for names, c in study.confirmations.items()}
+    passed = {names: found.no_worse(TOLERANCE) for names, found in study.confirmations.items()}
     assert passed == {(): False, ("a",): True}
     assert study.pruned == ("a",)
 
@@ -154,7 +154,7 @@ def test_what_hurts_a_short_training_and_pays_in_a_long_one_is_not_dropped(
     study = studied("a", measure, budget)
     assert verdicts(study) == {"a": Verdict.HURTS}
     # 2 sets, 6 cells, 4 s or 4.4 s each: 50 s, which the first stage does not leave of 60 s.
-    passed = [no_worse(found.gain, TOLERANCE) for found in study.confirmations.values()]
+    passed = [found.no_worse(TOLERANCE) for found in study.confirmations.values()]
     assert passed == ([False] if budget >= 100 else [])
     assert study.pruned == ("a",)
 
@@ -217,3 +217,47 @@ def test_time_that_is_left_where_nothing_can_be_confirmed_goes_into_contribution
     assert not study.confirmations
     assert 40 < study.ledger.spent <= 60
     assert {(t.held_out, t.seed) for t in study.ledger.trials} == set(study.design.cells(6))
+
+
+HELPS, HURTS, NOTHING, UNKNOWN = (0.5, 1.0), (-1.0, -0.5), (-0.05, 0.05), (-0.5, 0.5)
+SLOWER, FASTER = (0.1, 0.2), (-0.2, -0.1)
+
+
+def between(low: float, high: float) -> Interval:
+    return Interval((low + high) / 2, low, high, 6, 0.1)
+
+
+def proposed(
+    **contributions: tuple[tuple[float, float], tuple[float, float], float],
+) -> tuple[str, ...]:
+    """Give by name the ends of its gain in the set and of its time, and its mean gain alone.
+
+    Returns:
+        The names in each proposal.
+    """
+    in_set, alone = {}, {}
+    for name, (gain, time, mean) in contributions.items():
+        in_set[name] = Difference(10, 0.01, between(*gain), between(*time))
+        alone[name] = Difference(10, 0.01, between(mean, mean), between(*time))
+    return tuple("".join(names) for names in proposals(tuple(contributions), in_set, alone, 0.1))
+
+
+def test_proposals_put_back_the_unknown_then_the_useless_then_what_hurts() -> None:
+    found = proposed(
+        a=(HELPS, SLOWER, 1.0),
+        b=(HURTS, SLOWER, -1.0),
+        c=(NOTHING, SLOWER, 0.1),
+        d=(NOTHING, SLOWER, 0.8),
+        e=(UNKNOWN, SLOWER, 0.0),
+        f=(UNKNOWN, SLOWER, 0.0),
+    )
+    assert found == ("a", "aef", "adef", "acdef", "abcdef")
+
+
+def test_what_saves_time_stays_unless_it_hurts() -> None:
+    found = proposed(a=(NOTHING, FASTER, 0.0), b=(HURTS, FASTER, 0.0), c=(NOTHING, SLOWER, 0.0))
+    assert found == ("a", "ac", "abc")
+
+
+def test_nothing_to_propose_where_everything_helps() -> None:
+    assert proposed(a=(HELPS, SLOWER, 1.0), b=(HELPS, SLOWER, 1.0)) == ("ab",)

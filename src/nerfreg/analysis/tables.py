@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import astuple, fields
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from rich import box
 from rich.table import Column, Table
 
-from nerfreg.files import write_json
+from nerfreg.files import write_csv, write_json
+
+T = TypeVar("T")
 
 
 def text(*headers: str) -> list[Column]:
@@ -48,9 +51,35 @@ def build_table(
     return table
 
 
-def build_facts(title: str, caption: str, facts: Mapping[str, str]) -> Table:
-    """Return a table of names and what there is to say of each, wrapped to the terminal."""
-    return build_table(title, caption, [*text(""), Column()], facts.items())
+def build_record(title: str, record: Mapping[str, Any]) -> Table:
+    """Return a table of the words and numbers of a record, with those of its lists in one line."""
+    rows = [(name.replace("_", " "), _cell(value)) for name, value in record.items()]
+    return build_table(title, "", [*text(""), Column()], rows)
+
+
+def _cell(value: object) -> str:
+    if isinstance(value, list):
+        return ", ".join(map(_cell, value))
+    return f"{value:.4g}" if isinstance(value, float) else str(value)
+
+
+def select(points: Iterable[T], **values: object) -> list[T]:
+    """Return the points whose attributes of these names have these values."""
+    return [p for p in points if all(getattr(p, name) == values[name] for name in values)]
+
+
+def write_points(path: Path, points: Sequence[Any]) -> Path:
+    """Write dataclasses of one kind as CSV, one a line, with their fields as columns.
+
+    Raises:
+        NerfregError: The file cannot be written.
+    """
+    write_csv(path, [field.name for field in fields(points[0])], map(_line, points))
+    return path
+
+
+def _line(point: Any) -> list[object]:
+    return [f"{value:.6g}" if isinstance(value, float) else value for value in astuple(point)]
 
 
 def new_table(title: str, caption: str) -> Table:

@@ -5,10 +5,9 @@ from __future__ import annotations
 import math
 
 from nerfreg.analysis.statistics import cells_needed
-from nerfreg.prune.ledger import Difference
+from nerfreg.prune.ledger import Difference, Verdict
 from nerfreg.prune.plan import Context, Selection, Stage, Trial
 from nerfreg.prune.study import CONTRIBUTIONS_SHARE, Study
-from nerfreg.prune.verdicts import Verdict, judge, no_worse
 
 GRAIN = 60
 """Budgets are estimates, and given in whole minutes."""
@@ -40,7 +39,7 @@ def budget_needed(study: Study) -> int | None:
     judging = {
         trial
         for name, found in study.findings[Context.SET].items()
-        if judge(found.gain, study.tolerance) is Verdict.CANNOT_TELL
+        if found.verdict(study.tolerance) is Verdict.CANNOT_TELL
         for trial in _to_judge(study, name, found)
     }
     total = (spent + study.ledger.cost(judging)) / CONTRIBUTIONS_SHARE if judging else 0.0
@@ -80,7 +79,7 @@ def _to_confirm(study: Study) -> float:
     costs = [
         cost(proposal, cells)
         for proposal, found in study.confirmations.items()
-        if no_worse(found.gain, study.tolerance) is None
+        if found.no_worse(study.tolerance) is None
         and (cells := _cells(found, found.gain.mean + study.tolerance)) is not None
     ]
     return min(costs, default=0.0)

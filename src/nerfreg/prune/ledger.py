@@ -1,4 +1,4 @@
-"""What a study has measured: in memory, and on disk so that a stop costs one training."""
+"""What a study has measured, in memory and on disk, and what sets are compared by."""
 
 from __future__ import annotations
 
@@ -7,12 +7,13 @@ import math
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import asdict, dataclass
+from enum import StrEnum
 from pathlib import Path
 from statistics import fmean
 
 from nerfreg.analysis.statistics import Interval, interval
 from nerfreg.files import append_json_line, write_text
-from nerfreg.prune.plan import Cell, Selection, Trial
+from nerfreg.prune.plan import StudyCell, Selection, Trial
 
 
 @dataclass(frozen=True)
@@ -34,6 +35,15 @@ class Measurement:
     failure: str | None = None
 
 
+class Verdict(StrEnum):
+    """What can be said of a regularizer's contribution."""
+
+    HELPS = "helps"
+    HURTS = "hurts"
+    NO_DIFFERENCE = "no difference"
+    CANNOT_TELL = "cannot tell"
+
+
 @dataclass(frozen=True)
 class Difference:
     """One set minus another, over the cells on which both were trained to the end.
@@ -51,6 +61,20 @@ class Difference:
     gain: Interval
     time: Interval
     average: float | None = None
+
+    def verdict(self, tolerance: float) -> Verdict:
+        """Judge the gain; one that is certain but within the tolerance, in dB, is none."""
+        if self.gain.inside(tolerance):
+            return Verdict.NO_DIFFERENCE
+        if self.gain.low > 0:
+            return Verdict.HELPS
+        return Verdict.HURTS if self.gain.high < 0 else Verdict.CANNOT_TELL
+
+    def no_worse(self, tolerance: float) -> bool | None:
+        """Return whether the first set may replace the second; None: cannot tell."""
+        if self.gain.low >= -tolerance:
+            return True
+        return False if self.gain.high < -tolerance else None
 
 
 class Ledger:
@@ -123,7 +147,7 @@ class Ledger:
         return max(same_set or scaled.values(), default=0.0)
 
     def difference(
-        self, first: Selection, second: Selection, cells: Iterable[Cell], steps: int, error: float
+        self, first: Selection, second: Selection, cells: Iterable[StudyCell], steps: int, error: float
     ) -> Difference:
         """Subtract the second set from the first, cell by cell."""
         gains, times, averages = [], [], []

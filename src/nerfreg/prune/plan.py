@@ -15,7 +15,7 @@ Selection = tuple[str, ...]
 Pair = tuple[Selection, Selection]
 """Two sets that are compared: the first minus the second."""
 
-Cell = tuple[tuple[int, ...], int]
+StudyCell = tuple[tuple[int, ...], int]
 """Positions of the training views that are held out, and a seed. Sets are compared on cells."""
 
 USUAL_FOLDS = 4
@@ -74,7 +74,7 @@ class Design:
         """How many cells are measured before anything is judged: whole rounds over the folds."""
         return len(self.folds) * math.ceil(FEWEST_CELLS / len(self.folds))
 
-    def cells(self, count: int) -> list[Cell]:
+    def cells(self, count: int) -> list[StudyCell]:
         """Return the first `count` cells: every fold with the first seed, then with the next."""
         rounds = [divmod(index, len(self.folds)) for index in range(count)]
         return [(self.folds[fold], self.seed + turn) for turn, fold in rounds]

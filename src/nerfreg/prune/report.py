@@ -15,10 +15,9 @@ from nerfreg.analysis.pareto import front
 from nerfreg.analysis.statistics import ERROR, Interval
 from nerfreg.analysis.tables import build_table, numbers, text
 from nerfreg.prune.advice import budget_needed, cells_to_judge
-from nerfreg.prune.ledger import Difference
-from nerfreg.prune.plan import Cell, Context, Selection
+from nerfreg.prune.ledger import Difference, Verdict
+from nerfreg.prune.plan import StudyCell, Context, Selection
 from nerfreg.prune.study import Study
-from nerfreg.prune.verdicts import Verdict, judge, no_worse
 
 
 class RankedSet(NamedTuple):
@@ -38,7 +37,7 @@ def ranked_sets(study: Study) -> list[RankedSet]:
     full, ledger = study.design.full, study.ledger
     ranked: list[RankedSet] = []
     for steps in reversed(study.design.ladder):
-        cells: dict[Selection, list[Cell]] = {}
+        cells: dict[Selection, list[StudyCell]] = {}
         for trial in ledger.trials:
             if trial.steps == steps:
                 cells.setdefault(trial.regularizers, []).append((trial.held_out, trial.seed))
@@ -66,7 +65,7 @@ def _contributions(study: Study, scene: str) -> Table:
     for name, found in study.findings[Context.SET].items():
         alone = study.findings[Context.ALONE][name]
         figures = ends(found.gain), ends(alone.gain), ends(found.time, 100.0, 0)
-        verdict = judge(found.gain, study.tolerance).value
+        verdict = found.verdict(study.tolerance).value
         rows.append((name, *figures, str(found.steps), str(found.gain.count), verdict))
     columns = numbers("in the set, dB", "alone, dB", "time, %", "steps", "n")
     return build_table(
@@ -145,7 +144,7 @@ def duration(seconds: int) -> str:
 def finding_sentence(found: Difference, tolerance: float) -> str:
     """Return a verdict with its figures, or what it would take to have one."""
     low, high, both = found.gain.low, found.gain.high, ends(found.gain, between=" to ")
-    match judge(found.gain, tolerance):
+    match found.verdict(tolerance):
         case Verdict.HELPS:
             return f"helps by {low:.2f} to {high:.2f} dB"
         case Verdict.HURTS:
@@ -164,7 +163,7 @@ def _confirmed(study: Study, found: Difference) -> str:
     verdicts = {True: f"confirmed, not {within}", False: f"refused, {within}", None: "cannot tell"}
     figures = f"{ends(found.gain)} dB, {100 * found.time.mean:+.0f} % time, "
     cells = f"{found.gain.count} cells of {found.steps} steps"
-    verdict = verdicts[no_worse(found.gain, study.tolerance)]
+    verdict = verdicts[found.no_worse(study.tolerance)]
     return f"{figures if found.gain.count > 1 else ''}{cells}: {verdict}"
 
 
@@ -180,7 +179,7 @@ def record(study: Study) -> dict[str, Any]:
         "contributions": [
             {"regularizer": name, "context": context, "having": pair[0], "lacking": pair[1]}
             | _figures(found, "steps", "error", "gain", "time")
-            | {"verdict": judge(found.gain, tolerance)}
+            | {"verdict": found.verdict(tolerance)}
             for context, findings in study.findings.items()
             for name, found in findings.items()
             for pair in [design.pair(name, context)]
@@ -192,7 +191,7 @@ def record(study: Study) -> dict[str, Any]:
         ],
         "proposals": study.proposals,
         "confirmations": [
-            {"regularizers": names, "passed": no_worse(found.gain, tolerance)}
+            {"regularizers": names, "passed": found.no_worse(tolerance)}
             | _figures(found, "error", "gain", "time")
             for names, found in study.confirmations.items()
         ],

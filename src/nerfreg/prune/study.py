@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable
+from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass, field
 
 from nerfreg.analysis.statistics import error_of_look
-from nerfreg.prune.ledger import Difference, Ledger
+from nerfreg.prune.ledger import Difference, Ledger, Verdict
 from nerfreg.prune.plan import Context, Design, Pair, Selection, Stage
-from nerfreg.prune.verdicts import Verdict, judge, no_worse, proposals
 
 CONTRIBUTIONS_SHARE = 2 / 3
 """Of the budget; the rest is for confirming."""
@@ -89,7 +88,7 @@ class Study:
 
     def _says(self, found: Difference) -> tuple[bool, int, float]:
         """Order findings: those that decide, those of longer trainings, those of narrower ends."""
-        decided = judge(found.gain, self.tolerance) is not Verdict.CANNOT_TELL
+        decided = found.verdict(self.tolerance) is not Verdict.CANNOT_TELL
         return decided, found.steps * (found.gain.count > 1), found.gain.low - found.gain.high
 
     def _decide(self) -> None:
@@ -102,7 +101,7 @@ class Study:
             found = self._confirm(proposal, self.ledger.spent + share)
             if found is not None:
                 self.confirmations[proposal] = found
-                if no_worse(found.gain, self.tolerance):
+                if found.no_worse(self.tolerance):
                     self.pruned = proposal
                     return
 
@@ -116,7 +115,7 @@ class Study:
         whole = Stage(self.design.ladder[-1], self.design.first_look)
         stage = whole if self._fits(pairs, whole, until) else None
         found = None
-        while stage is not None and (found is None or no_worse(found.gain, self.tolerance) is None):
+        while stage is not None and (found is None or found.no_worse(self.tolerance) is None):
             self._confirming_looks += 1
             error = error_of_look(self._confirming_looks, 1)
             [found] = self._compare(pairs, stage, error, until)
@@ -153,3 +152,33 @@ class Study:
 
     def _fits(self, pairs: Collection[Pair], stage: Stage, until: float) -> bool:
         return self.ledger.spent + self.ledger.cost(self.design.trials(pairs, stage)) <= until
+
+
+def proposals(
+    full: Selection,
+    in_set: Mapping[str, Difference],
+    alone: Mapping[str, Difference],
+    tolerance: float,
+) -> tuple[Selection, ...]:
+    """Return the sets to compare with the full one, in the order of trial; it stands last itself.
+
+    The first has what helps, and what saves time without hurting. What cannot be told is then put
+    back all at once; what makes no difference one by one, the best alone first, because two
+    regularizers that can replace each other both seem useless; and what hurts comes last.
+    """
+    verdicts = {name: found.verdict(tolerance) for name, found in in_set.items()}
+
+    def those(verdict: Verdict) -> list[str]:
+        return [name for name, own in verdicts.items() if own is verdict]
+
+    def gain_alone(name: str) -> float:
+        return alone[name].gain.mean if alone[name].gain.count else 0.0
+
+    saving = {name for name, found in in_set.items() if found.time.high < 0}
+    kept = {*those(Verdict.HELPS), *saving.difference(those(Verdict.HURTS))}
+    chain = [kept]
+    spare = sorted(those(Verdict.NO_DIFFERENCE), key=gain_alone, reverse=True)
+    for returned in (those(Verdict.CANNOT_TELL), *([name] for name in spare), full):
+        kept = kept.union(returned)
+        chain.append(kept)
+    return tuple(dict.fromkeys(tuple(name for name in full if name in kept) for kept in chain))
