@@ -60,7 +60,7 @@ def test_no_test_image_is_read(photographs: Path, compose: Callable[..., Config]
         "scene.factor=1",
     ]
     config = compose(*scene, *SMALL, "+reg=distortion", "train.steps=4", "scene.held_out=[0]")
-    trials = Trials(config, 2, print)
+    trials = Trials(config, 2)
     assert len(trials.scene.train) + len(trials.scene.test) == 3
     for held_out in ((0,), (1,), (2,), (0, 2)):
         measured = trials(Trial(("distortion",), held_out, 0, 2))
@@ -78,7 +78,7 @@ def test_the_same_trial_gives_the_same_score(compose: Callable[..., Config]) -> 
         "scene.held_out=[0]",
     )
     words += ("reg.distortion.weight=0.1",)
-    trials = Trials(compose(*words, "train.steps=10", "train.threads=1"), 1, print)
+    trials = Trials(compose(*words, "train.steps=10", "train.threads=1"), 1)
 
     def score(names: tuple[str, ...], held_out: tuple[int, ...], seed: int) -> float | None:
         return trials(Trial(names, held_out, seed, 5)).psnr
@@ -97,7 +97,7 @@ def test_a_step_bears_its_share_of_what_comes_before_the_first(
 ) -> None:
     monkeypatch.setattr(Hooks, "known_depth", lambda hooks, photographs: time.sleep(0.4))
     words = ("scene.size=8", "scene.views=3", *SMALL, "scene.held_out=[0]", "train.steps=4")
-    measured = Trials(compose(*words), 1, print)(Trial((), (1,), 0, 2))
+    measured = Trials(compose(*words), 1)(Trial((), (1,), 0, 2))
     # of a whole run of 4 steps, not of this one of 2
     assert measured.step_seconds > 0.1
     assert measured.seconds > 0.4
@@ -106,7 +106,7 @@ def test_a_step_bears_its_share_of_what_comes_before_the_first(
 def test_a_single_view_cannot_be_held_out(compose: Callable[..., Config]) -> None:
     config = compose("scene.size=8", "scene.views=1", "+reg=lipschitz", "scene.held_out=[0]")
     with pytest.raises(NerfregError, match="the scene has 1 training view; prune judges on"):
-        Trials(config, 2, print)
+        Trials(config, 2)
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,7 @@ from statistics import fmean
 
 from nerfreg.analysis.statistics import Interval, interval
 from nerfreg.files import append_json_line, write_text
-from nerfreg.prune.plan import StudyCell, Selection, Trial
+from nerfreg.prune.plan import Selection, StudyCell, Trial
 
 
 @dataclass(frozen=True)
@@ -83,7 +83,8 @@ class Ledger:
     Args:
         measure: Measures a trial.
         path: Keeps every measurement, one line each, so that none is made twice; None: no file.
-        fingerprint: Stands for all else that a measurement depends on; lines with another stay.
+        fingerprint: Stands for all else that a measurement depends on; lines with another are kept
+            and not used.
 
     Attributes:
         trials: What was asked for, in order.
@@ -147,7 +148,12 @@ class Ledger:
         return max(same_set or scaled.values(), default=0.0)
 
     def difference(
-        self, first: Selection, second: Selection, cells: Iterable[StudyCell], steps: int, error: float
+        self,
+        first: Selection,
+        second: Selection,
+        cells: Iterable[StudyCell],
+        steps: int,
+        error: float,
     ) -> Difference:
         """Subtract the second set from the first, cell by cell."""
         gains, times, averages = [], [], []

@@ -16,7 +16,7 @@ from nerfreg.analysis.statistics import ERROR, Interval
 from nerfreg.analysis.tables import build_table, numbers, text
 from nerfreg.prune.advice import budget_needed, cells_to_judge
 from nerfreg.prune.ledger import Difference, Verdict
-from nerfreg.prune.plan import StudyCell, Context, Selection
+from nerfreg.prune.plan import Context, Selection, StudyCell
 from nerfreg.prune.study import Study
 
 

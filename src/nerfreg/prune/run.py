@@ -6,7 +6,7 @@ import hashlib
 import json
 import shlex
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -62,12 +62,8 @@ def run(options: PruneOptions, command: Sequence[str]) -> None:
     Raises:
         NerfregError: The options cannot be used.
     """
-    console = Console(stderr=True)
-    say: Callable[[str], None] = partial(
-        console.print, highlight=False, markup=False, soft_wrap=True
-    )
     config = _configuration(options.overrides)
-    trials = Trials(config, options.stride, say)
+    trials = Trials(config, options.stride)
     scene = trials.scene
     path = preset_path(options.name or f"pruned_{plain(scene.name)}")
     folder = options.folder or Path("prune", plain(scene.name))
@@ -79,9 +75,11 @@ def run(options: PruneOptions, command: Sequence[str]) -> None:
         config.seed,
     )
     ledger = Ledger(trials, cells, fingerprint(config, options.stride))
+    console = Console(stderr=True, quiet=config.train.quiet)
+    lines = partial(console.print, highlight=False, markup=False, soft_wrap=True)
     with console.status("", refresh_per_second=2) as status:
-        if config.train.quiet or console.is_terminal:
-            say = (lambda line: None) if config.train.quiet else status.update
+        # A terminal has one line, which changes; a file has one for each trial.
+        say = status.update if console.is_terminal else lines
         study = Study(design, ledger, options.budget, options.tolerance, say)
         try:
             study.run()

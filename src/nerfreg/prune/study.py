@@ -71,7 +71,7 @@ class Study:
             found = self._compare(pairs.values(), self._stage, error, until)
             for (context, name), new in zip(pairs, found, strict=True):
                 old = self.findings[context].get(name, new)
-                self.findings[context][name] = max(old, new, key=self._says)
+                self.findings[context][name] = max(old, new, key=self._rank)
             left = self._undecided([Context.SET]).values()
             following = self._following(left, self._stage, until)
             if not left or following is None:
@@ -83,11 +83,12 @@ class Study:
             (context, name): self.design.pair(name, context)
             for context in contexts
             for name in self.design.full
-            if (found := self.findings[context].get(name)) is None or not self._says(found)[0]
+            if not (found := self.findings[context].get(name))
+            or found.verdict(self.tolerance) is Verdict.CANNOT_TELL
         }
 
-    def _says(self, found: Difference) -> tuple[bool, int, float]:
-        """Order findings: those that decide, those of longer trainings, those of narrower ends."""
+    def _rank(self, found: Difference) -> tuple[bool, int, float]:
+        """Rank a finding: one that decides, else of longer trainings, else a narrower interval."""
         decided = found.verdict(self.tolerance) is not Verdict.CANNOT_TELL
         return decided, found.steps * (found.gain.count > 1), found.gain.low - found.gain.high
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import gc
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache, partial
 from itertools import pairwise
@@ -22,7 +22,6 @@ from nerfreg.registry import Hooks
 from nerfreg.rendering.views import ViewRenderer
 from nerfreg.runs.load import prepare
 from nerfreg.scenes import Scene, load_scene
-from nerfreg.training.guard import Guard
 from nerfreg.training.memory import keep_large_blocks
 from nerfreg.training.trainer import Trainer
 
@@ -35,7 +34,6 @@ class Trials:
     Args:
         config: Holds some training view out already, so that no test view is even looked for.
         stride: Scores every so many rows and columns; at 1 also LPIPS, if `eval.lpips` is on.
-        report: Takes a line about every step that was left out.
 
     Attributes:
         scene: The scene of `config`.
@@ -44,12 +42,11 @@ class Trials:
         NerfregError: The scene cannot be used, or has a single training view.
     """
 
-    def __init__(self, config: Config, stride: int, report: Callable[[str], None]) -> None:
+    def __init__(self, config: Config, stride: int) -> None:
         keep_large_blocks()
         self.scene = _scene(config)
         self._config = config
         self._stride = stride
-        self._report = report
         self._device = prepare(config)
         lpips = stride == 1 and config.eval.lpips
         self._lpips = load_lpips(config.eval.lpips_weights) if lpips else None
@@ -88,9 +85,8 @@ class Trials:
             for name in trial.regularizers
         }
         train = replace(config.train, steps=trial.steps, seconds=None)
-        guard, device, seed = Guard(None, self._report), self._device, trial.seed
-        field, sampler, optim = config.field, config.sampler, config.optim
-        return Trainer(scene, Hooks(plugins), field, sampler, optim, train, seed, device, guard)
+        parts = config.field, config.sampler, config.optim
+        return Trainer(scene, Hooks(plugins), *parts, train, trial.seed, self._device)
 
     def _score(self, trainer: Trainer) -> Scores:
         scene, stride = trainer.scene, self._stride
