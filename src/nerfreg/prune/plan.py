@@ -88,10 +88,10 @@ class Design:
     def trials(self, pairs: Iterable[Pair], stage: Stage) -> list[Trial]:
         """Return the trials that compare pairs at a stage: one cell for all sets, then the next.
 
-        Each cell begins with another set, so that whatever else the machine does affects all alike.
+        The full set and vanilla stand first. Each cell begins with another set than the last, so
+        that whatever else the machine does affects all alike.
         """
         distinct = dict.fromkeys(names for pair in pairs for names in pair)
-        # What most comparisons need comes first: time may run out.
         sets = sorted(distinct, key=lambda names: (names != self.full, names != ()))
         return [
             Trial(sets[(position + turn) % len(sets)], *cell, stage.steps)

@@ -94,7 +94,7 @@ def claimed(folder: Path) -> Iterator[None]:
         except BlockingIOError as error:
             raise BusyError(f"{folder}: another process is at it") from error
         except OSError:
-            pass  # This file system has no locks; going on without one is all that can be done.
+            pass  # This file system has no locks.
         yield
     finally:
         os.close(handle)
