@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import astuple, fields
 from pathlib import Path
 from typing import Any, TypeVar
 
 from rich import box
+from rich.console import Console
 from rich.table import Column, Table
 
 from nerfreg.files import write_csv, write_json
@@ -76,6 +77,35 @@ def write_points(path: Path, points: Sequence[Any]) -> Path:
     """
     write_csv(path, [field.name for field in fields(points[0])], map(_line, points))
     return path
+
+
+def publish_points(
+    stem: Path, points: Sequence[T], table: Table, draw: Callable[[Sequence[T], Path], list[Path]]
+) -> list[Path]:
+    """Print a table, write STEM.csv and a figure, and return the files.
+
+    Args:
+        stem: Path of the files without their ending.
+        points: Dataclasses of one kind; their fields are the columns of the CSV file.
+        table: What is printed.
+        draw: Draws the points to STEM.png and STEM.svg, and returns both.
+
+    Raises:
+        NerfregError: A file cannot be written.
+    """
+    Console().print(table)
+    return [write_points(stem.with_suffix(".csv"), points), *draw(points, stem)]
+
+
+def publish_record(path: Path, title: str, record: dict[str, Any]) -> None:
+    """Print a record as a table, without what is nested in it, and write it as JSON.
+
+    Raises:
+        NerfregError: The file cannot be written.
+    """
+    flat = {name: value for name, value in record.items() if not isinstance(value, dict)}
+    Console().print(build_record(title, flat))
+    write_json(path, record)
 
 
 def _line(point: Any) -> list[object]:
