@@ -75,7 +75,8 @@ def test_the_errors_of_all_looks_add_up_to_the_whole() -> None:
 
 
 def test_cells_needed() -> None:
-    # Deviation 1, half 1: t(n - 1) <= sqrt(n). 2.571 > sqrt(6) = 2.449, but 2.447 < sqrt(7) = 2.646.
+    # Deviation 1, half 1: t(n - 1) <= sqrt(n).
+    # 2.571 > sqrt(6) = 2.449, but 2.447 < sqrt(7) = 2.646.
     assert cells_needed(1.0, 1.0, 0.05) == 7
     # Much more than it needs: two are the fewest.
     assert cells_needed(1e-6, 1.0, 0.05) == 2

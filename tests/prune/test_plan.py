@@ -3,7 +3,7 @@ from __future__ import annotations
 import pytest
 
 from nerfreg.errors import NerfregError
-from nerfreg.prune.plan import Cell, Comparison, Context, Design, make_folds, make_ladder
+from nerfreg.prune.plan import Context, Design, Stage, Trial, make_folds, make_ladder
 
 
 @pytest.mark.parametrize(
@@ -55,7 +55,7 @@ def test_ladder_without_steps(last: int | None) -> None:
 
 def test_cells_go_round_the_folds_seed_by_seed() -> None:
     design = Design(("a",), ((0,), (1,), (2,)), (10,), seed=5)
-    assert design.cells(4) == (Cell((0,), 5), Cell((1,), 5), Cell((2,), 5), Cell((0,), 6))
+    assert design.cells(4) == [((0,), 5), ((1,), 5), ((2,), 5), ((0,), 6)]
 
 
 @pytest.mark.parametrize(("folds", "first"), [(2, 4), (3, 6), (4, 4), (5, 5)])
@@ -63,13 +63,22 @@ def test_the_first_look_takes_whole_rounds_of_four_cells_or_more(folds: int, fir
     assert Design(("a",), make_folds(folds, None if folds < 5 else 5), (10,)).first_look == first
 
 
-def test_comparisons() -> None:
+def test_pairs_differ_in_one_regularizer() -> None:
     design = Design(("a", "b", "c"), ((0,), (1,)), (10,))
-    assert design.comparisons(Context.SET)[1] == Comparison(
-        "b", Context.SET, ("a", "b", "c"), ("a", "c")
-    )
-    assert design.comparisons(Context.ALONE)[1] == Comparison("b", Context.ALONE, ("b",), ())
-    assert [len(design.comparisons(context)) for context in Context] == [3, 3]
+    assert design.pair("b", Context.SET) == (("a", "b", "c"), ("a", "c"))
+    assert design.pair("b", Context.ALONE) == (("b",), ())
+
+
+def test_trials_go_cell_by_cell_and_each_begins_with_another_set() -> None:
+    design = Design(("a", "b"), ((0,), (1,)), (10,))
+    pairs = [design.pair("a", Context.SET), design.pair("b", Context.ALONE)]
+    # The full set and vanilla stand first, the set without a, which is b alone, behind them.
+    full, vanilla, b = ("a", "b"), (), ("b",)
+    assert design.trials(pairs, Stage(10, 2)) == [
+        *(Trial(names, (0,), 0, 10) for names in (full, vanilla, b)),
+        *(Trial(names, (1,), 0, 10) for names in (vanilla, b, full)),
+    ]
+    assert design.trials([], Stage(10, 2)) == []
 
 
 def test_labels() -> None:

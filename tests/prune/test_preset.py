@@ -7,7 +7,7 @@ import pytest
 
 from nerfreg.config.schema import Config
 from nerfreg.errors import NerfregError
-from nerfreg.prune.preset import changed_settings, preset_name, preset_path, write_preset
+from nerfreg.prune.preset import changed_settings, plain, preset_path, write_preset
 
 
 @pytest.fixture(autouse=True)
@@ -53,13 +53,13 @@ def test_nothing_left_is_vanilla(compose: Callable[..., Config]) -> None:
 @pytest.mark.parametrize(
     ("scene", "name"),
     [
-        ("fern", "pruned_fern"),
-        ("procedural-orbit", "pruned_procedural_orbit"),
-        ("my photos (2)", "pruned_my_photos_2"),
+        ("fern", "fern"),
+        ("procedural-orbit", "procedural_orbit"),
+        ("my photos (2)", "my_photos_2"),
     ],
 )
 def test_names(scene: str, name: str) -> None:
-    assert preset_name(scene) == name
+    assert plain(scene) == name
 
 
 def test_names_that_are_taken(compose: Callable[..., Config]) -> None:

@@ -16,9 +16,9 @@ from nerfreg.prune.plan import Trial
 from nerfreg.prune.run import fingerprint
 
 TINY = [
-    "scene.size=16", "scene.views=2", "scene.test_views=1", "field.levels=2", "field.log2_entries=8", "train.rays=32",
-    "sampler.coarse=8", "sampler.fine=8", "train.steps=4", "train.threads=1",
-    "sampler.skip_resolution=8",
+    "scene.size=16", "scene.views=2", "scene.test_views=1", "field.levels=2",
+    "field.log2_entries=8", "train.rays=32", "sampler.coarse=8", "sampler.fine=8",
+    "train.steps=4", "train.threads=1", "sampler.skip_resolution=8",
 ]  # fmt: skip
 
 
@@ -128,8 +128,8 @@ def test_a_stop_costs_one_training(
         if len(asked) == 11:
             raise KeyboardInterrupt
         gain = {"distortion": 1.0, "lipschitz": -1.0}
-        level = trial.cell.seed + trial.cell.held_out[0]
-        noise = 0.01 * (hash(trial.cell) % 7) * len(trial.regularizers)
+        level = trial.seed + trial.held_out[0]
+        noise = 0.01 * (hash((trial.held_out, trial.seed)) % 7) * len(trial.regularizers)
         return Measurement(
             20.0 + level + sum(gain[n] for n in trial.regularizers) + noise,
             None,

@@ -13,19 +13,19 @@ import pytest
 from nerfreg import Regularizer
 from nerfreg.config.schema import Config
 from nerfreg.errors import NerfregError
-from nerfreg.prune.plan import Cell, Trial
+from nerfreg.prune.plan import Trial
 from nerfreg.prune.trials import Trials, in_share, usual_time
 from nerfreg.registry import Hooks
 
 SMALL = [
-    "field.levels=2", "field.log2_entries=8", "sampler.coarse=8", "sampler.fine=8", "train.rays=32", "train.quiet=true",
-    "eval.lpips=false", "sampler.skip_resolution=8",
+    "field.levels=2", "field.log2_entries=8", "sampler.coarse=8", "sampler.fine=8", "train.rays=32",
+    "train.quiet=true", "eval.lpips=false", "sampler.skip_resolution=8",
 ]  # fmt: skip
 
 
 @pytest.fixture
 def photographs(tmp_path: Path) -> Path:
-    """NeRF-Synthetic with three training frames of 32 x 32 pixels on a circle, and test frames without images."""
+    """NeRF-Synthetic: three training frames of 32 x 32 pixels on a circle, and no test images."""
     chance = np.random.default_rng(0)
     for part, count in (("train", 3), ("test", 2)):
         frames = []
@@ -60,10 +60,10 @@ def test_no_test_image_is_read(photographs: Path, compose: Callable[..., Config]
         "scene.factor=1",
     ]
     config = compose(*scene, *SMALL, "+reg=distortion", "train.steps=4", "scene.held_out=[0]")
-    trials = Trials(config, 2, print)
-    assert trials.views == 3
+    trials = Trials(config, 2)
+    assert len(trials.scene.train) + len(trials.scene.test) == 3
     for held_out in ((0,), (1,), (2,), (0, 2)):
-        measured = trials(Trial(("distortion",), Cell(held_out, 0), 2))
+        measured = trials(Trial(("distortion",), held_out, 0, 2))
         assert measured.psnr is not None and 0 < measured.psnr < 40
         assert measured.average is None and measured.failure is None
         assert 0 < measured.step_seconds < measured.seconds
@@ -78,10 +78,10 @@ def test_the_same_trial_gives_the_same_score(compose: Callable[..., Config]) -> 
         "scene.held_out=[0]",
     )
     words += ("reg.distortion.weight=0.1",)
-    trials = Trials(compose(*words, "train.steps=10", "train.threads=1"), 1, print)
+    trials = Trials(compose(*words, "train.steps=10", "train.threads=1"), 1)
 
     def score(names: tuple[str, ...], held_out: tuple[int, ...], seed: int) -> float | None:
-        return trials(Trial(names, Cell(held_out, seed), 5)).psnr
+        return trials(Trial(names, held_out, seed, 5)).psnr
 
     first = score(("lipschitz",), (1,), 0)
     others = [
@@ -97,7 +97,7 @@ def test_a_step_bears_its_share_of_what_comes_before_the_first(
 ) -> None:
     monkeypatch.setattr(Hooks, "known_depth", lambda hooks, photographs: time.sleep(0.4))
     words = ("scene.size=8", "scene.views=3", *SMALL, "scene.held_out=[0]", "train.steps=4")
-    measured = Trials(compose(*words), 1, print)(Trial((), Cell((1,), 0), 2))
+    measured = Trials(compose(*words), 1)(Trial((), (1,), 0, 2))
     # of a whole run of 4 steps, not of this one of 2
     assert measured.step_seconds > 0.1
     assert measured.seconds > 0.4
@@ -106,7 +106,7 @@ def test_a_step_bears_its_share_of_what_comes_before_the_first(
 def test_a_single_view_cannot_be_held_out(compose: Callable[..., Config]) -> None:
     config = compose("scene.size=8", "scene.views=1", "+reg=lipschitz", "scene.held_out=[0]")
     with pytest.raises(NerfregError, match="the scene has 1 training view; prune judges on"):
-        Trials(config, 2, print)
+        Trials(config, 2)
 
 
 @pytest.mark.parametrize(

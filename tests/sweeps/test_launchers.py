@@ -1,4 +1,7 @@
-"""Sweeps in other processes, and one that is really interrupted; each engine is skipped where it is not installed."""
+"""Sweeps in other processes, and one that is really interrupted.
+
+Each engine is skipped where it is not installed.
+"""
 
 from __future__ import annotations
 
@@ -14,8 +17,8 @@ from pathlib import Path
 import pytest
 
 TINY = [
-    "scene.size=8", "scene.views=2", "scene.test_views=1", "field.levels=2", "field.log2_entries=8", "train.steps=2",
-    "train.rays=8", "eval.lpips=false", "eval.count=1",
+    "scene.size=8", "scene.views=2", "scene.test_views=1", "field.levels=2", "field.log2_entries=8",
+    "train.steps=2", "train.rays=8", "eval.lpips=false", "eval.count=1",
 ]  # fmt: skip
 LAUNCHERS = {
     "joblib": ("hydra_joblib_launcher", ["hydra/launcher=joblib", "hydra.launcher.n_jobs=2"]),
@@ -37,7 +40,7 @@ def test_jobs_run_in_other_processes(
 ) -> None:
     package, choice = LAUNCHERS[launcher]
     pytest.importorskip(f"hydra_plugins.{package}")
-    # a home of its own: Ray keeps things there
+    # A home of its own, because Ray keeps files there.
     environment = {**environment, "HOME": str(tmp_path / "home")}
     words = ["+reg=kl", "device=cpu,nonsense", "seed=0", *choice, *TINY]
     done = subprocess.run(
@@ -49,7 +52,7 @@ def test_jobs_run_in_other_processes(
     [failed] = tmp_path.glob("multirun/procedural/*/failed.json")
     assert "device=nonsense" in failed.parent.name
     assert json.loads(failed.read_text())["error"] == "NerfregError"
-    # each of two jobs has half of the cores, and at least one of them
+    # Each of the two jobs has half of the cores, and at least one.
     cores = len(os.sched_getaffinity(0)) if sys.platform == "linux" else os.cpu_count() or 1
     assert json.loads(results.read_text())["threads"] in {1, cores // 2}
 
@@ -63,7 +66,7 @@ def test_interrupt_leaves_whole_runs_whole(
     if launcher == "joblib":
         pytest.importorskip("hydra_plugins.hydra_joblib_launcher")
         choice = LAUNCHERS["joblib"][1]
-    # one job ends after two steps; the other would go on for an hour
+    # One job ends after two steps; the other would go on for an hour.
     words = [
         "train.seconds=3600",
         "train.steps=2,null",
@@ -72,7 +75,7 @@ def test_interrupt_leaves_whole_runs_whole(
         *TINY[6:],
         "train.quiet=true",
     ]
-    # What a shell starts in the background ignores Ctrl-C, and hands that on.
+    # What a shell starts in the background ignores Ctrl-C, and so do its children.
     listening = partial(signal.signal, signal.SIGINT, signal.SIG_DFL)
     sweep = subprocess.Popen(
         command(*words),
@@ -90,7 +93,7 @@ def test_interrupt_leaves_whole_runs_whole(
         ):
             assert sweep.poll() is None and time.monotonic() < deadline
             time.sleep(0.1)
-        os.killpg(sweep.pid, signal.SIGINT)  # what a terminal does on Ctrl-C
+        os.killpg(sweep.pid, signal.SIGINT)  # As a terminal does on Ctrl-C.
         shown, _ = sweep.communicate(timeout=60)
     finally:
         if sweep.poll() is None:

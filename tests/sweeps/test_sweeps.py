@@ -1,4 +1,4 @@
-"""A sweep from beginning to end, of jobs that take no time: what fails, what is skipped, what is chosen by."""
+"""A sweep from beginning to end, of jobs that take no time."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from nerfreg.config.schema import Config
 from nerfreg.errors import NerfregError
 from nerfreg.sweeps.folders import BusyError, claimed
 from nerfreg.sweeps.jobs import _fair_threads
-from nerfreg.sweeps.journal import Entry, State
+from nerfreg.sweeps.journal import JobEntry, JobState
 from nerfreg.sweeps.plan import Plan
 from nerfreg.sweeps.summary import in_numbers
 
@@ -23,7 +23,7 @@ Job = Callable[[Config, Path], None]
 
 
 class Jobs:
-    """Stands for training. done: seeds in the order in which they were asked for."""
+    """Stands for training; `done` has the seeds in the order in which they were asked for."""
 
     def __init__(self) -> None:
         self.done: list[int] = []
@@ -108,7 +108,7 @@ def test_failing_job_is_recorded_and_the_others_are_done(
         "[2/5] seed=1",
         "[2/5] failed: NerfregError: no such thing",
     ]
-    assert not [*Path("multirun").glob(".*")]  # what the jobs told is told
+    assert not [*Path("multirun").glob(".*")]  # The journal was read and removed.
 
 
 def test_starting_again_redoes_what_is_not_complete(
@@ -121,7 +121,7 @@ def test_starting_again_redoes_what_is_not_complete(
     (failed / "notes.txt").touch()
     jobs.failing.clear()
     capsys.readouterr()
-    # the seed that is new joins those that are there, and a quiet run is no other run
+    # A new seed joins the old ones, and a quiet run counts as the same run.
     assert main(["train", "-m", "seed=0,1,2", "train.quiet=true"]) == 0
     assert jobs.done == [0, 1, 1, 2]
     assert sorted(path.name for path in failed.iterdir()) == [
@@ -227,21 +227,21 @@ def test_folder_in_use_is_left_alone(tmp_path: Path) -> None:
         claimed(tmp_path),
     ):
         pass
-    with claimed(tmp_path):  # and free again
+    with claimed(tmp_path):  # Free again.
         pass
 
 
 def test_numbers() -> None:
-    def entries(*states: State) -> list[Entry]:
-        return [Entry(number, "", state, "", {}) for number, state in enumerate(states)]
+    def entries(*states: JobState) -> list[JobEntry]:
+        return [JobEntry(number, "", state, "", {}) for number, state in enumerate(states)]
 
-    assert in_numbers(entries(State.DONE), 1) == "1 job: 1 done, 0 skipped, 0 failed"
-    both = entries(State.FAILED, State.BEGUN)
+    assert in_numbers(entries(JobState.DONE), 1) == "1 job: 1 done, 0 skipped, 0 failed"
+    both = entries(JobState.FAILED, JobState.BEGUN)
     assert in_numbers(both, 4) == "4 jobs: 0 done, 0 skipped, 1 failed, 1 interrupted, 2 not begun"
 
 
 class Valley:
-    """Stands for training whose error is lowest where the weight is 0.25, and which fails above 0.9."""
+    """Stands for training: the error is lowest at a weight of 0.25, and above 0.9 it fails."""
 
     def __init__(self) -> None:
         self.weights: list[float] = []
@@ -277,7 +277,7 @@ def valley(jobs: Jobs, monkeypatch: pytest.MonkeyPatch) -> Valley:
     return valley
 
 
-@pytest.mark.filterwarnings("ignore")  # Optuna's
+@pytest.mark.filterwarnings("ignore")  # Optuna's warnings
 def test_tuning_minimizes_the_error_of_held_out_views(
     valley: Valley, capfd: pytest.CaptureFixture[str]
 ) -> None:
@@ -285,7 +285,7 @@ def test_tuning_minimizes_the_error_of_held_out_views(
     assert len(valley.weights) == len({*valley.weights}) == 4
     best = Path("multirun/optimization_results.yaml").read_text()
     assert f"reg.kl.weight: {min(valley.weights, key=lambda weight: abs(weight - 0.25))}" in best
-    # again: the same trials, whose errors are read from their folders
+    # Again the same trials, whose errors are read from their folders.
     assert main([*TUNE, HELD_OUT]) == 0
     assert len(valley.weights) == 4
     assert Path("multirun/optimization_results.yaml").read_text() == best
@@ -295,7 +295,7 @@ def test_tuning_minimizes_the_error_of_held_out_views(
 @pytest.mark.filterwarnings("ignore")
 def test_trial_that_fails_is_left_out(valley: Valley) -> None:
     words = [word.replace("interval(0.0,1.0)", "0.5,1.0") for word in TUNE]
-    # of four draws with a fixed seed both come up
+    # Four draws with a fixed seed have both.
     assert main([*words, HELD_OUT]) == 1
     assert {*valley.weights} == {0.5, 1.0}
     assert "reg.kl.weight: 0.5\n" in Path("multirun/optimization_results.yaml").read_text()
@@ -351,7 +351,7 @@ def test_tuning_without_lpips_weights_is_refused(
 
 
 def test_a_job_has_its_share_whatever_the_job_before_left(monkeypatch: pytest.MonkeyPatch) -> None:
-    # Eight threads for two jobs at a time; the one before, with four, has left torch with two.
+    # Eight threads for two jobs at a time; a job before, with four, has left torch with two.
     monkeypatch.setattr("numba.config.NUMBA_NUM_THREADS", 8)
     monkeypatch.setattr("torch.get_num_threads", lambda: 2)
     monkeypatch.setattr("os.cpu_count", lambda: 8)

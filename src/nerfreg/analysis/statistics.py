@@ -1,4 +1,4 @@
-"""Intervals of means from few differences, and how few would have been enough."""
+"""Intervals for means of a few differences, and how many differences an interval takes."""
 
 from __future__ import annotations
 
@@ -12,17 +12,21 @@ import mpmath
 import numpy as np
 
 ERROR = 0.05
-"""Chance that any verdict of a study is wrong, at most."""
+"""The probability, at most, that any verdict of a study is wrong."""
 
 MOST_CELLS = 4096
 
 
 @dataclass(frozen=True)
 class Interval:
-    """Mean of a few differences, and the ends between which the true mean lies unless one is unlucky.
+    """The mean of a few differences, and the ends between which the true mean probably lies.
 
-    count: how many. deviation: their standard deviation; nan where there is none. Fewer than two differences say
-    nothing about their spread: the ends are infinite then.
+    Attributes:
+        mean: Of the differences; nan if there is none.
+        low: The lower end; infinite for fewer than two, which say nothing about their spread.
+        high: The upper end, likewise.
+        count: How many differences there are.
+        deviation: Their standard deviation; nan for fewer than two.
     """
 
     mean: float
@@ -32,21 +36,21 @@ class Interval:
     deviation: float
 
     def inside(self, limit: float) -> bool:
-        """Whether the whole interval lies in [-limit, limit]."""
+        """Return whether the whole interval lies in [-limit, limit]."""
         return -limit <= self.low and self.high <= limit
 
 
 @cache
 def student_quantile(error: float, freedom: int) -> float:
-    """t with P(|T| > t) = error for Student's t with this many degrees of freedom.
+    """Return t with P(|T| > t) = error for Student's t with `freedom` degrees of freedom.
 
-    P(|T| > t) is the regularized incomplete beta function I_x(freedom / 2, 1 / 2) at x = freedom / (freedom + t^2).
+    P(|T| > t) is the regularized incomplete beta function I_x(freedom / 2, 1 / 2) at
+    x = freedom / (freedom + t^2).
     """
 
     def tail(t: float) -> float:
-        return float(
-            mpmath.betainc(freedom / 2, 0.5, 0, freedom / (freedom + t * t), regularized=True)
-        )
+        x = freedom / (freedom + t * t)
+        return float(mpmath.betainc(freedom / 2, 0.5, 0, x, regularized=True))
 
     low, high = 0.0, 1.0
     while tail(high) > error:
@@ -58,32 +62,30 @@ def student_quantile(error: float, freedom: int) -> float:
 
 
 def interval(differences: Sequence[float], error: float) -> Interval:
-    """Student's interval of the mean; it misses the true mean with probability `error`.
-
-    Differences without any spread give a point: they come from trainings that are the same to the last bit.
-    """
+    """Return Student's interval, which misses the true mean with probability `error`."""
     count = len(differences)
     if count < 2:
         mean = differences[0] if count else math.nan
         return Interval(mean, -math.inf, math.inf, count, math.nan)
+    # Without any spread this is a point: such trainings are the same to the last bit.
     mean, deviation = fmean(differences), stdev(differences)
     half = student_quantile(error, count - 1) * deviation / math.sqrt(count)
     return Interval(mean, mean - half, mean + half, count, deviation)
 
 
 def error_of_look(look: int, comparisons: int) -> float:
-    """Share of `ERROR` that one comparison may spend at the look with this number, from 1.
+    """Return the share of `ERROR` that one comparison may spend at this look, counted from 1.
 
-    1 / (look (look + 1)) adds up to 1 over any number of looks, which nobody knows beforehand; Bonferroni's bound on
-    looks and comparisons.
+    By Bonferroni's bound the shares of all looks and comparisons add up. Nobody knows beforehand
+    how many looks there will be, and 1 / (look (look + 1)) adds up to 1 over any number of them.
     """
     return ERROR / (look * (look + 1)) / comparisons
 
 
 def cells_needed(deviation: float, half: float, error: float) -> int | None:
-    """Least number of differences of this deviation whose interval is mean +- `half` or narrower.
+    """Return how many differences of this deviation give an interval of mean +- `half`.
 
-    None: more than `MOST_CELLS`, or unknown.
+    None stands for more than `MOST_CELLS`, or for unknown.
     """
 
     def enough(count: int) -> bool:

@@ -26,7 +26,7 @@ from nerfreg.sweeps import folders
 from nerfreg.sweeps.failures import in_one_line
 from nerfreg.sweeps.hook import before_sweep
 from nerfreg.sweeps.jobs import Sweep
-from nerfreg.sweeps.journal import Journal, State
+from nerfreg.sweeps.journal import JobState, Journal
 from nerfreg.sweeps.plan import make_plan
 from nerfreg.sweeps.summary import print_summary
 
@@ -142,7 +142,7 @@ class _Task:
         entries = self.sweep.journal.read()
         print_summary(entries, self.sweep.plan.jobs)
         self.sweep.journal.remove()
-        return any(entry.state is State.FAILED for entry in entries)
+        return any(entry.state is JobState.FAILED for entry in entries)
 
     def _validated(self, node: DictConfig) -> Config:
         try:

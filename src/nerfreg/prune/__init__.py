@@ -1,1 +1,1 @@
-"""`nerfreg prune`: which regularizers a scene can do without, judged on training views that are held out."""
+"""`nerfreg prune`: which regularizers a scene can do without, by held-out training views."""

@@ -1,26 +1,32 @@
-"""What has been measured: in memory for the study, and on disk so that a stop costs one training."""
+"""What a study has measured, in memory and on disk, and what sets are compared by."""
 
 from __future__ import annotations
 
 import json
 import math
 from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import asdict, dataclass
+from enum import StrEnum
 from pathlib import Path
 from statistics import fmean
 
-from nerfreg.errors import NerfregError
-from nerfreg.prune.plan import Cell, Selection, Trial
-
-CELLS = "cells.jsonl"
+from nerfreg.analysis.statistics import Interval, interval
+from nerfreg.files import append_json_line, write_text
+from nerfreg.prune.plan import Selection, StudyCell, Trial
 
 
 @dataclass(frozen=True)
 class Measurement:
-    """psnr, average: on the held-out views; None where unknown. step_seconds: mean training time of a step, and its
-    share, in a whole run, of what comes before the first. seconds: of the whole trial, with loading and scoring.
-    failure: why it ended early, if it did."""
+    """What a trial yields.
+
+    Attributes:
+        psnr: Of the held-out views, dB; None if training failed.
+        average: Of the held-out views; None where unknown.
+        step_seconds: Time of a step, with its share, in a whole run, of what precedes the first.
+        seconds: Time of the whole trial, loading and scoring included.
+        failure: Why training ended early; None if it did not.
+    """
 
     psnr: float | None
     average: float | None
@@ -29,105 +35,111 @@ class Measurement:
     failure: str | None = None
 
 
-Measure = Callable[[Trial], Measurement]
+class Verdict(StrEnum):
+    """What can be said of a regularizer's contribution."""
+
+    HELPS = "helps"
+    HURTS = "hurts"
+    NO_DIFFERENCE = "no difference"
+    CANNOT_TELL = "cannot tell"
 
 
-class CellFile:
-    """A measure that keeps what it has measured in FOLDER/cells.jsonl, one line a trial, and never measures it again.
+@dataclass(frozen=True)
+class Difference:
+    """One set minus another, over the cells on which both were trained to the end.
 
-    fingerprint: of everything else that a measurement depends on; lines with another are left alone.
-    reused: trials that were found there.
+    Attributes:
+        steps: Length of the trainings.
+        error: The probability with which each interval may miss.
+        gain: PSNR, dB.
+        time: How much longer a step takes, as a share.
+        average: Mean change of `average`; None where unknown.
     """
 
-    def __init__(self, folder: Path, fingerprint: str, measure: Measure) -> None:
-        self.path = folder / CELLS
-        self.reused = 0
-        self._fingerprint = fingerprint
-        self._measure = measure
-        self._known = dict(self._read())
+    steps: int
+    error: float
+    gain: Interval
+    time: Interval
+    average: float | None = None
 
-    def __call__(self, trial: Trial) -> Measurement:
-        if trial in self._known:
-            self.reused += 1
-            return self._known[trial]
-        measurement = self._measure(trial)
-        self._known[trial] = measurement
-        self._append(trial, measurement)
-        return measurement
+    def verdict(self, tolerance: float) -> Verdict:
+        """Judge the gain; one that is certain but within the tolerance, in dB, is none."""
+        if self.gain.inside(tolerance):
+            return Verdict.NO_DIFFERENCE
+        if self.gain.low > 0:
+            return Verdict.HELPS
+        return Verdict.HURTS if self.gain.high < 0 else Verdict.CANNOT_TELL
 
-    def _read(self) -> Iterable[tuple[Trial, Measurement]]:
-        if not self.path.is_file():
-            return
-        for line in self.path.read_text(encoding="utf-8").splitlines():
-            try:
-                record = json.loads(line)
-                if record.pop("fingerprint") != self._fingerprint:
-                    continue
-                names, held_out = tuple(record.pop("regularizers")), tuple(record.pop("held_out"))
-                trial = Trial(names, Cell(held_out, record.pop("seed")), record.pop("steps"))
-                yield trial, Measurement(**record)
-            except (ValueError, KeyError, TypeError, AttributeError):
-                continue  # a line that was not finished when the program was stopped
-
-    def _append(self, trial: Trial, measurement: Measurement) -> None:
-        record = {"fingerprint": self._fingerprint, **flat(trial), **asdict(measurement)}
-        try:
-            self.path.parent.mkdir(parents=True, exist_ok=True)
-            with self.path.open("a+b") as file:
-                # behind a line that was not finished
-                torn = file.tell() > 0 and (file.seek(-1, 2), file.read(1))[1] != b"\n"
-                file.write(b"\n" * torn + json.dumps(record, allow_nan=False).encode() + b"\n")
-        except OSError as error:
-            raise NerfregError(
-                f"{self.path}: cannot be written ({error.strerror or error})"
-            ) from error
-
-
-def flat(trial: Trial) -> dict[str, object]:
-    """A trial as it stands in files."""
-    return {
-        "regularizers": list(trial.regularizers),
-        "held_out": list(trial.cell.held_out),
-        "seed": trial.cell.seed,
-        "steps": trial.steps,
-    }
+    def no_worse(self, tolerance: float) -> bool | None:
+        """Return whether the first set may replace the second; None: cannot tell."""
+        if self.gain.low >= -tolerance:
+            return True
+        return False if self.gain.high < -tolerance else None
 
 
 class Ledger:
-    """All trials of a study, what they have cost, and what others would cost.
+    """All trials of a study, what they cost, and what others would cost.
 
-    spent: seconds of all trials, by their own account: a study that is started again decides as it did before.
+    Args:
+        measure: Measures a trial.
+        path: Keeps every measurement, one line each, so that none is made twice; None: no file.
+        fingerprint: Stands for all else that a measurement depends on; lines with another are kept
+            and not used.
+
+    Attributes:
+        trials: What was asked for, in order.
+        reused: How many of these were found in the file.
+        spent: Seconds of all trials. Counted by their own account and not by the clock, so that a
+            study that is started again decides as it did before.
     """
 
-    def __init__(self, measure: Measure) -> None:
+    def __init__(
+        self,
+        measure: Callable[[Trial], Measurement],
+        path: Path | None = None,
+        fingerprint: str = "",
+    ) -> None:
         self.trials: dict[Trial, Measurement] = {}
+        self.reused = 0
         self.spent = 0.0
         self._measure = measure
+        self._path = path
+        self._fingerprint = fingerprint
+        text = path.read_text(encoding="utf-8") if path and path.is_file() else ""
+        if path and text and not text.endswith("\n"):
+            # The program was stopped while it wrote this line; the next one must not continue it.
+            write_text(path, text + "\n")
+        self._saved = dict(_parsed(text, fingerprint))
         self._whole: dict[tuple[Selection, int], list[Measurement]] = {}
 
     def add(self, trial: Trial) -> None:
-        """Measure a trial, unless it has been."""
-        if trial in self.trials:
-            return
-        measurement = self._measure(trial)
+        """Measure a trial that is not in the ledger, or find it in the file.
+
+        Raises:
+            NerfregError: The file cannot be written.
+        """
+        if trial in self._saved:
+            self.reused += 1
+            measurement = self._saved[trial]
+        else:
+            measurement = self._measure(trial)
+            if self._path:
+                line = {"fingerprint": self._fingerprint, **asdict(trial), **asdict(measurement)}
+                append_json_line(self._path, line)
         self.trials[trial] = measurement
         self.spent += measurement.seconds
         if measurement.failure is None:
             self._whole.setdefault((trial.regularizers, trial.steps), []).append(measurement)
 
     def cost(self, trials: Iterable[Trial]) -> float:
-        """Seconds that those of the trials would take, probably, that have not been measured; 0 if nothing has."""
-        missing = Counter(
-            (trial.regularizers, trial.steps) for trial in trials if trial not in self.trials
-        )
-        return math.fsum(
-            count * self._cost(names, steps) for (names, steps), count in missing.items()
-        )
+        """Estimate the seconds of those trials that are not measured yet; 0 if nothing is."""
+        missing = Counter((t.regularizers, t.steps) for t in trials if t not in self.trials)
+        return math.fsum(count * self._cost(*kind) for kind, count in missing.items())
 
     def _cost(self, regularizers: Selection, steps: int) -> float:
-        """By the trials of the same set, or the costliest of all; loading and scoring take as long for any length."""
         if same := self._whole.get((regularizers, steps)):
             return fmean(m.seconds for m in same)
+        # Loading and scoring take as long for any number of steps.
         scaled = {
             (names, own): fmean(m.seconds + (steps - own) * m.step_seconds for m in measured)
             for (names, own), measured in self._whole.items()
@@ -135,43 +147,36 @@ class Ledger:
         same_set = [seconds for (names, _), seconds in scaled.items() if names == regularizers]
         return max(same_set or scaled.values(), default=0.0)
 
-    def gains(
-        self, first: Selection, second: Selection, cells: Sequence[Cell], steps: int
-    ) -> list[float]:
-        """PSNR of the first set minus that of the second, over the cells on which both have one."""
-        return [a - b for a, b in self._pairs(first, second, cells, steps, lambda m: m.psnr)]
-
-    def average_changes(
-        self, first: Selection, second: Selection, cells: Sequence[Cell], steps: int
-    ) -> list[float]:
-        """`average` of the first set minus that of the second, over the cells on which both have one."""
-        return [a - b for a, b in self._pairs(first, second, cells, steps, lambda m: m.average)]
-
-    def extra_times(
-        self, first: Selection, second: Selection, cells: Sequence[Cell], steps: int
-    ) -> list[float]:
-        """How much longer a step of the first set takes than one of the second, as a share, over the same cells."""
-        return [a / b - 1 for a, b in self._pairs(first, second, cells, steps, _time_of_whole)]
-
-    def _pairs(
+    def difference(
         self,
         first: Selection,
         second: Selection,
-        cells: Sequence[Cell],
+        cells: Iterable[StudyCell],
         steps: int,
-        value: Callable[[Measurement], float | None],
-    ) -> list[tuple[float, float]]:
-        pairs = []
+        error: float,
+    ) -> Difference:
+        """Subtract the second set from the first, cell by cell."""
+        gains, times, averages = [], [], []
         for cell in cells:
-            one, other = (self.trials.get(Trial(names, cell, steps)) for names in (first, second))
-            if one is None or other is None:
+            one, other = (self.trials.get(Trial(names, *cell, steps)) for names in (first, second))
+            if one is None or other is None or one.psnr is None or other.psnr is None:
                 continue
-            a, b = value(one), value(other)
-            if a is not None and b is not None:
-                pairs.append((a, b))
-        return pairs
+            gains.append(one.psnr - other.psnr)
+            times.append(one.step_seconds / other.step_seconds - 1)
+            if one.average is not None and other.average is not None:
+                averages.append(one.average - other.average)
+        average = fmean(averages) if averages else None
+        return Difference(steps, error, interval(gains, error), interval(times, error), average)
 
 
-def _time_of_whole(measurement: Measurement) -> float | None:
-    """Time of a step, of a training that did not end early."""
-    return None if measurement.psnr is None else measurement.step_seconds
+def _parsed(text: str, fingerprint: str) -> Iterator[tuple[Trial, Measurement]]:
+    for line in text.splitlines():
+        try:
+            record = json.loads(line)
+            if record.pop("fingerprint") != fingerprint:
+                continue
+            names, held_out = tuple(record.pop("regularizers")), tuple(record.pop("held_out"))
+            trial = Trial(names, held_out, record.pop("seed"), record.pop("steps"))
+            yield trial, Measurement(**record)
+        except (ValueError, KeyError, TypeError, AttributeError):
+            continue  # The line was not finished when the program was stopped.

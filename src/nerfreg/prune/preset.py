@@ -14,28 +14,23 @@ from nerfreg.config.schema import Config
 from nerfreg.config.search_path import options
 from nerfreg.errors import NerfregError
 from nerfreg.files import write_text
-from nerfreg.hooks import Regularizer
 from nerfreg.prune.plan import Selection
 from nerfreg.registry import installed
 
 MARK = "# What `nerfreg prune` leaves"
-"""How the file begins; another file of the same name is somebody's own, and stays."""
-
-
-def preset_name(scene: str) -> str:
-    """What a scene's preset is called unless the user says otherwise."""
-    return f"pruned_{plain(scene)}"
+"""How the file begins; one that begins otherwise is the user's own and is not overwritten."""
 
 
 def plain(text: str) -> str:
-    """A name without anything that a command line could read otherwise."""
+    """Replace whatever a command line could read otherwise."""
     return re.sub(r"\W+", "_", text).strip("_")
 
 
 def preset_path(name: str) -> Path:
-    """Where the preset goes: ./conf/reg, which `+reg=` looks through.
+    """Return the file of a preset in ./conf/reg, where `+reg=` finds it.
 
-    Raises NerfregError for a name that is not one, or is somebody else's.
+    Raises:
+        NerfregError: The name is not a name, or belongs to something else.
     """
     if not re.fullmatch(r"\w[\w-]*", name):
         raise NerfregError(
@@ -55,30 +50,26 @@ def preset_path(name: str) -> Path:
 
 
 def write_preset(path: Path, config: Config, kept: Selection, comments: Sequence[str]) -> None:
-    """A preset that selects `kept`, with the settings in which the configuration differs from their defaults."""
-    settings = {name: changed for name in kept if (changed := changed_settings(config, name))}
+    """Write a preset that selects `kept` with the settings that are not their defaults."""
     content: dict[str, Any] = {"defaults": [*kept, "_self_"]}
     body = yaml.safe_dump(content, default_flow_style=None, sort_keys=False, width=120)
+    settings = {name: changed for name in kept if (changed := changed_settings(config, name))}
     if settings:
         body += yaml.safe_dump(settings, default_flow_style=False, sort_keys=False)
-    lines = [f"# {line}".rstrip() for line in comments]
-    lines[0] = f"{MARK} {comments[0]}"
-    write_text(path, "\n".join(lines) + "\n" + body)
+    write_text(path, f"{MARK} " + "\n# ".join(comments) + "\n" + body)
 
 
 def changed_settings(config: Config, name: str) -> dict[str, Any]:
-    """Fields of a selected plugin that are not its defaults for the layout of the scene."""
-    plugin: Regularizer = config.reg[name]
-    cls = type(plugin)
-    defaults = _fields(cls(**cls.by_layout.get(config.scene.layout or "", {})))
+    """Return the fields of a plugin that differ from its defaults for the layout of the scene."""
+    cls = type(config.reg[name])
+    plugins = config.reg[name], cls(**cls.by_layout.get(config.scene.layout or "", {}))
+    own, defaults = (
+        OmegaConf.to_container(OmegaConf.structured(plugin), enum_to_str=True) for plugin in plugins
+    )
+    assert isinstance(own, dict) and isinstance(defaults, dict)
+    # Steps and shares of the budget differ by their type alone: 1 is not 1.0.
     return {
-        key: value
-        for key, value in _fields(plugin).items()
+        str(key): value
+        for key, value in own.items()
         if value != defaults[key] or type(value) is not type(defaults[key])
     }
-
-
-def _fields(plugin: Regularizer) -> dict[str, Any]:
-    fields = OmegaConf.to_container(OmegaConf.structured(plugin), enum_to_str=True)
-    assert isinstance(fields, dict)
-    return {str(key): value for key, value in fields.items()}

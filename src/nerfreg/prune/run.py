@@ -6,35 +6,41 @@ import hashlib
 import json
 import shlex
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 from omegaconf import OmegaConf
 from rich.console import Console
 
 from nerfreg import __version__
-from nerfreg.analysis.tables import write_record
 from nerfreg.config.compose import compose, require_steps
 from nerfreg.config.schema import Config
 from nerfreg.errors import NerfregError
-from nerfreg.prune.ledger import CELLS, CellFile, Ledger
+from nerfreg.files import write_json
+from nerfreg.prune.ledger import Ledger
 from nerfreg.prune.plan import Design, make_folds, make_ladder
-from nerfreg.prune.preset import plain, preset_name, preset_path, write_preset
-from nerfreg.prune.record import record
-from nerfreg.prune.report import conclusions, print_report
+from nerfreg.prune.preset import plain, preset_path, write_preset
+from nerfreg.prune.report import conclusions, print_report, record
 from nerfreg.prune.study import Study
-from nerfreg.prune.summary import Summary
 from nerfreg.prune.trials import Trials
-
-RECORD = "prune.json"
 
 
 @dataclass(frozen=True)
 class PruneOptions:
-    """overrides: those of `nerfreg train`. budget: seconds of the whole study. folds: of the training views; None:
-    up to four. steps: of the first trainings; None: a quarter of train.steps. tolerance: dB that count as nothing.
-    stride: of the rows and columns that are scored. name: of the preset. folder: where the files go."""
+    """What the command line says.
+
+    Attributes:
+        overrides: Those of `nerfreg train`.
+        budget: Seconds of all trainings together.
+        folds: Of the training views; None: up to four.
+        steps: Of the first trainings; None: a quarter of `train.steps`.
+        tolerance: dB of PSNR that count as no difference.
+        stride: Every how many rows and columns are scored.
+        name: Of the preset; None: after the scene.
+        folder: Where the files go; None: after the scene.
+    """
 
     overrides: tuple[str, ...] = ()
     budget: float = 3600.0
@@ -56,96 +62,64 @@ def run(options: PruneOptions, command: Sequence[str]) -> None:
     Raises:
         NerfregError: The options cannot be used.
     """
-    console = Console(stderr=True)
-    config, full = _configuration(options)
-    trials = Trials(
-        config, options.stride, lambda line: console.print(line, highlight=False, markup=False)
-    )
+    config = _configuration(options.overrides)
+    trials = Trials(config, options.stride)
     scene = trials.scene
-    path = preset_path(options.name or preset_name(scene.name))
+    path = preset_path(options.name or f"pruned_{plain(scene.name)}")
     folder = options.folder or Path("prune", plain(scene.name))
-    folds, ladder = (
-        make_folds(trials.views, options.folds),
+    cells = folder / "cells.jsonl"
+    design = Design(
+        tuple(str(name) for name, plugin in config.reg.items() if plugin.weight != 0),
+        make_folds(len(scene.train) + len(scene.test), options.folds),
         make_ladder(options.steps, config.train.steps),
+        config.seed,
     )
-    design = Design(full, folds, ladder, config.seed)
-    measured = CellFile(folder, fingerprint(config, options.stride), trials)
-    ledger = Ledger(measured)
+    ledger = Ledger(trials, cells, fingerprint(config, options.stride))
+    console = Console(stderr=True, quiet=config.train.quiet)
+    lines = partial(console.print, highlight=False, markup=False, soft_wrap=True)
     with console.status("", refresh_per_second=2) as status:
-        study = Study(
-            design,
-            ledger,
-            options.budget,
-            options.tolerance,
-            _teller(console, status.update, config),
-        )
+        # A terminal has one line, which changes; a file has one for each trial.
+        say = status.update if console.is_terminal else lines
+        study = Study(design, ledger, options.budget, options.tolerance, say)
         try:
-            outcome = study.run()
+            study.run()
         except KeyboardInterrupt:
-            print(
-                f"{folder / CELLS} keeps what is measured; the same command goes on from there",
-                file=sys.stderr,
-            )
+            kept = f"{cells} keeps what is measured; the same command goes on from there"
+            print(kept, file=sys.stderr)
             raise
-    if measured.reused:
-        print(f"{measured.reused} of {len(ledger.trials)} trainings were found in {folder / CELLS}")
-    summary = Summary(
-        scene.name, trials.views, design, ledger, outcome, options.tolerance, options.budget
-    )
-    print_report(summary, Console())
+    if ledger.reused:
+        print(f"{ledger.reused} of {len(ledger.trials)} trainings were found in {cells}")
+    print_report(study, scene.name, Console())
+    of = f"of {'+'.join(design.full)} on {scene.name} with {design.views} views."
     layout_known = replace(config, scene=replace(config.scene, layout=scene.layout))
-    write_preset(path, layout_known, outcome.pruned, _comments(summary, command))
-    write_record(folder / RECORD, record(summary, command, str(path)))
+    write_preset(path, layout_known, study.pruned, [of, shlex.join(command), *conclusions(study)])
+    head = {"command": [*command], "scene": scene.name, "preset": str(path)}
+    write_json(folder / "prune.json", head | record(study))
     print(path)
-    print(folder / RECORD)
+    print(folder / "prune.json")
     others = [word for word in options.overrides if not word.lstrip("+").startswith("reg")]
     print(f"nerfreg train {shlex.join([*others, f'+reg={path.stem}'])}")
 
 
-def _configuration(options: PruneOptions) -> tuple[Config, tuple[str, ...]]:
-    """What `nerfreg train` would run, its first training view held out, and what is selected with a weight above 0."""
-    if taken := next(
-        (word for word in options.overrides if word.lstrip("+").startswith("scene.held_out=")), None
-    ):
-        raise NerfregError(f"{taken}: prune chooses itself which training views it holds out")
-    config = compose((*options.overrides, "scene.held_out=[0]"))
+def _configuration(overrides: Sequence[str]) -> Config:
+    """Compose what `nerfreg train` would run, with the first training view held out."""
+    taken = [word for word in overrides if word.lstrip("+").startswith("scene.held_out=")]
+    if taken:
+        raise NerfregError(f"{taken[0]}: prune chooses itself which training views it holds out")
+    config = compose((*overrides, "scene.held_out=[0]"))
     require_steps(config)
-    full = tuple(str(name) for name, plugin in config.reg.items() if plugin.weight != 0)
-    if not full:
+    if all(plugin.weight == 0 for plugin in config.reg.values()):
         raise NerfregError(
-            "nothing is selected that could be left out; add +reg=combinerf or a list, '+reg=[kl,entropy]'"
+            "nothing is selected that could be left out; add +reg=combinerf or a list, "
+            "'+reg=[kl,entropy]'"
         )
-    return config, full
+    return config
 
 
 def fingerprint(config: Config, stride: int) -> str:
-    """Of all that a measurement depends on beside the trial."""
-    ignored = {"name": None, "seed": 0, "scene": replace(config.scene, held_out=None)}
-    quiet = replace(config.train, quiet=False)
-    content = OmegaConf.to_container(
-        OmegaConf.structured(replace(config, **ignored, train=quiet)),
-        resolve=True,
-        enum_to_str=True,
-    )
+    """Return a hash of all that a measurement depends on beside the trial."""
+    scene, train = replace(config.scene, held_out=None), replace(config.train, quiet=False)
+    common = OmegaConf.structured(replace(config, name=None, seed=0, scene=scene, train=train))
+    content = OmegaConf.to_container(common, resolve=True, enum_to_str=True)
     text = json.dumps([__version__, stride, content], sort_keys=True, default=str)
     return hashlib.sha256(text.encode()).hexdigest()[:16]
-
-
-def _teller(
-    console: Console, update: Callable[[str], None], config: Config
-) -> Callable[[str], None]:
-    """Where a line about every trial goes: onto one line of a terminal, else below each other."""
-    if config.train.quiet:
-        return lambda line: None
-    if console.is_terminal:
-        return update
-    return lambda line: console.print(line, highlight=False, markup=False, soft_wrap=True)
-
-
-def _comments(summary: Summary, command: Sequence[str]) -> list[str]:
-    full = "+".join(summary.design.full)
-    return [
-        f"of {full} on {summary.scene} with {summary.views} views.",
-        shlex.join(command),
-        *conclusions(summary),
-    ]

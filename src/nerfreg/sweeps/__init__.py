@@ -1,1 +1,1 @@
-"""Many runs by one command: each fails for itself, and what is complete is not done again."""
+"""Sweeps: many runs by one command, each of which may fail alone, and none is done twice."""

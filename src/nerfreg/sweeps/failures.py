@@ -12,7 +12,11 @@ from nerfreg.runs.files import FAILED
 
 
 def write_failure(folder: Path, error: BaseException, overrides: Sequence[str]) -> None:
-    """Save the error's class, message and traceback, the job's overrides and the time."""
+    """Save the error's class, message and traceback, the overrides of the job, and the time.
+
+    Raises:
+        NerfregError: The file cannot be written.
+    """
     record = {
         "error": type(error).__name__,
         "message": str(error),
@@ -24,5 +28,5 @@ def write_failure(folder: Path, error: BaseException, overrides: Sequence[str]) 
 
 
 def in_one_line(error: BaseException) -> str:
-    """Class and message of an error, as a line of a table."""
+    """Return the class and message of an error on one line."""
     return " ".join(f"{type(error).__name__}: {error}".split()).rstrip(": ")

@@ -19,8 +19,10 @@ from nerfreg.runs.files import FAILED, METRICS, RECORDED_STEPS, RENDERS
 from nerfreg.training.checkpoint import FOLDER as CHECKPOINT
 
 LEFT_OVER = (FAILED, METRICS, CHECKPOINT, RECORDED_STEPS, RENDERS)
+"""What a run that did not end may have left in its folder."""
+
 WITHOUT_EFFECT = (("name",), ("train", "quiet"))
-"""Keys in which configurations may differ and yet be the same."""
+"""Keys that change nothing in a run: configurations that differ in them alone are the same."""
 
 
 class BusyError(NerfregError):
@@ -28,36 +30,34 @@ class BusyError(NerfregError):
 
 
 def register() -> None:
-    """Tell OmegaConf how the folders of a sweep are called."""
+    """Make `job_folder` known to OmegaConf, which `conf/config.yaml` uses for `hydra.sweep`."""
     OmegaConf.register_new_resolver("job_folder", job_folder, replace=True)
 
 
 def job_folder(*, _root_: DictConfig) -> str:
-    """STUDY/OVERRIDES, below `hydra.sweep.dir`.
+    """Return the folder of a job below `hydra.sweep.dir`, as STUDY/OVERRIDES.
 
-    Where that folder already belongs to another configuration (a YAML file or a default was changed since), it is
-    STUDY/OVERRIDES_HASH: Hydra writes `.hydra/config.yaml` before the job begins, so that only here a folder can be
-    kept from being given to a second configuration.
+    Where that folder already belongs to another configuration, because a YAML file or a default
+    was changed since, the result is STUDY/OVERRIDES_HASH. This must happen in a resolver: Hydra
+    writes `.hydra/config.yaml` before the job begins, and would overwrite that of the other.
+
+    Args:
+        _root_: The whole configuration, `hydra` included; OmegaConf passes it by this name.
     """
     study = study_name(_root_)
     overrides = overrides_name(OmegaConf.select(_root_, "hydra.overrides.task")) or "defaults"
     wanted = configuration(_root_)
-    saved = (
-        Path(str(OmegaConf.select(_root_, "hydra.sweep.dir")))
-        / study
-        / overrides
-        / ".hydra"
-        / "config.yaml"
-    )
+    folder = Path(str(OmegaConf.select(_root_, "hydra.sweep.dir")), study, overrides)
+    saved = folder / ".hydra" / "config.yaml"
     if saved.is_file() and _saved_configuration(saved) != wanted:
         overrides = f"{overrides}_{digest(repr(wanted))}"
     return f"{study}/{overrides}"
 
 
 def configuration(root: DictConfig) -> Any:
-    """What a run depends on, interpolations as they are written."""
+    """Return what a run depends on as plain containers, interpolations as they are written."""
     keys = [str(key) for key in root if key != "hydra"]
-    # by way of YAML, so that types that a file does not keep make no difference
+    # The way through YAML makes this comparable with a file, which does not keep all types.
     return _comparable(OmegaConf.to_yaml(OmegaConf.masked_copy(root, keys)))
 
 
@@ -69,8 +69,7 @@ def _saved_configuration(path: Path) -> Any:
 
 
 def _comparable(text: str) -> Any:
-    node = OmegaConf.create(text)
-    values = OmegaConf.to_container(node)
+    values = OmegaConf.to_container(OmegaConf.create(text))
     for *parents, key in WITHOUT_EFFECT:
         parent = values
         for name in parents:
@@ -82,7 +81,12 @@ def _comparable(text: str) -> Any:
 
 @contextmanager
 def claimed(folder: Path) -> Iterator[None]:
-    """Keep other processes on this file system from working in a run's folder. Raises BusyError where one does."""
+    """Keep other processes, on this file system, out of the folder of a run.
+
+    Raises:
+        BusyError: Another process works in it.
+    """
+    # The lock belongs to the open handle, so it ends with the process, however that ends.
     handle = os.open(folder, os.O_RDONLY)
     try:
         try:
@@ -90,14 +94,14 @@ def claimed(folder: Path) -> Iterator[None]:
         except BlockingIOError as error:
             raise BusyError(f"{folder}: another process is at it") from error
         except OSError:
-            pass  # a file system without locks
+            pass  # This file system has no locks.
         yield
     finally:
         os.close(handle)
 
 
 def clear(folder: Path) -> None:
-    """Remove what a run that did not come to its end has left."""
+    """Remove what a run that did not end has left."""
     for name in LEFT_OVER:
         path = folder / name
         if path.is_dir():

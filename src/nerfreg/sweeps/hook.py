@@ -1,4 +1,4 @@
-"""Where Hydra lets a sweep be looked at before its first job."""
+"""Lets a sweep be checked before its first job."""
 
 from __future__ import annotations
 
@@ -11,18 +11,26 @@ from omegaconf import DictConfig
 
 
 class BeforeSweep(Callback):
-    """Named in `conf/config.yaml`; Hydra makes one itself, so that what is to be called stands in the class."""
+    """The callback that `conf/config.yaml` names.
+
+    Attributes:
+        listeners: What to call. It belongs to the class because Hydra makes the instance itself.
+    """
 
     listeners: ClassVar[list[Callable[[DictConfig], None]]] = []
 
     def on_multirun_start(self, config: DictConfig, **kwargs: Any) -> None:
+        """Call the listeners; Hydra's signature."""
         for listener in self.listeners:
             listener(config)
 
 
 @contextmanager
 def before_sweep(prepare: Callable[[DictConfig], None]) -> Iterator[None]:
-    """Call `prepare(hydra_config)` when a sweep begins; whatever Exception it raises is lost on Hydra."""
+    """Call `prepare(hydra_config)` when a sweep begins inside the block.
+
+    Hydra swallows any `Exception` that `prepare` raises.
+    """
     BeforeSweep.listeners.append(prepare)
     try:
         yield

@@ -1,4 +1,4 @@
-"""One job of a sweep: done, skipped because it was complete, or failed for itself."""
+"""One job of a sweep: it is done, or skipped because it is complete, or fails alone."""
 
 from __future__ import annotations
 
@@ -13,11 +13,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numba
+
 from nerfreg.config.schema import Config
 from nerfreg.runs.files import RESULTS
 from nerfreg.sweeps.failures import in_one_line, write_failure
 from nerfreg.sweeps.folders import BusyError, claimed, clear
-from nerfreg.sweeps.journal import Entry, Journal, State
+from nerfreg.sweeps.journal import JobEntry, JobState, Journal
 from nerfreg.sweeps.plan import OBJECTIVE, Plan
 
 SCORES = ("psnr", "average")
@@ -25,9 +27,12 @@ SCORES = ("psnr", "average")
 
 @dataclass(frozen=True)
 class Sweep:
-    """What every job of a sweep knows of it.
+    """What every job knows of its sweep.
 
-    leaves: the file by which a complete job is known; None: jobs are done again whenever they are asked for.
+    Attributes:
+        plan: How many jobs there are, and how many run at once.
+        journal: Where each job says what became of it.
+        leaves: The file by which a complete job is known; None: jobs are always done again.
     """
 
     plan: Plan
@@ -42,36 +47,49 @@ class Sweep:
         compose: Callable[[], Config],
         job: Callable[[Config, Path], object],
     ) -> float | None:
-        """Do a job, and tell the journal what became of it; returns the objective where there is one.
+        """Do a job, and write down what became of it.
 
-        Nothing but an interruption comes out of it: an error is saved in the folder, and the sweep goes on.
+        Nothing but an interruption leaves this method: an error is saved in the folder, and the
+        sweep goes on.
+
+        Args:
+            number: The place in the order of the sweep, from 0.
+            overrides: Those of this job.
+            folder: Its run folder.
+            compose: Returns its configuration, or raises.
+            job: What to do.
+
+        Returns:
+            What a sweeper minimizes, where there is such a score.
         """
         report = _Report(self, number, self.plan.title(overrides), folder)
-        report.tell(State.BEGUN)
+        report.tell(JobState.BEGUN)
         try:
             with claimed(folder):
                 if self.leaves and (folder / self.leaves).is_file():
-                    report.tell(State.SKIPPED, "complete")
+                    report.tell(JobState.SKIPPED, "complete")
                     return _objective(folder)
                 report.say(report.title)
                 if self.leaves:
                     clear(folder)
                 self._run(report, compose(), job)
         except BusyError:
-            report.tell(State.SKIPPED, "another process is at it")
+            report.tell(JobState.SKIPPED, "another process is at it")
             return None
-        except (Exception, SystemExit) as error:  # a plugin may raise anything
+        except (Exception, SystemExit) as error:
+            # A plugin may raise anything, and may even call sys.exit.
             write_failure(folder, error, overrides)
-            report.tell(State.FAILED, in_one_line(error))
+            report.tell(JobState.FAILED, in_one_line(error))
             return None
-        report.tell(State.DONE)
+        report.tell(JobState.DONE)
         return _objective(folder)
 
     def _run(self, report: _Report, config: Config, job: Callable[[Config, Path], object]) -> None:
         if not self.plan.parallel:
             job(config, report.folder)
             return
-        # bars of several processes would draw over each other, and lines of several jobs would mix
+        # Progress bars of several processes would draw over each other, and lines of several jobs
+        # would mix. So bars are off, and what a job prints is held back and marked with its number.
         threads = config.train.threads or _fair_threads(self.plan)
         config.train = dataclasses.replace(config.train, quiet=True, threads=threads)
         with redirect_stdout(io.StringIO()) as said:
@@ -82,7 +100,7 @@ class Sweep:
 
 @dataclass(frozen=True)
 class _Report:
-    """Tells of one job: to whoever watches, and to the journal."""
+    """Tells the user and the journal of one job."""
 
     sweep: Sweep
     number: int
@@ -93,22 +111,19 @@ class _Report:
         sys.stderr.write(f"[{self.number + 1}/{self.sweep.plan.jobs}] {line}\n")
         sys.stderr.flush()
 
-    def tell(self, state: State, reason: str = "") -> None:
-        results = _results(self.folder) if state in (State.DONE, State.SKIPPED) else {}
+    def tell(self, state: JobState, reason: str = "") -> None:
+        complete = state in (JobState.DONE, JobState.SKIPPED)
+        results = _results(self.folder) if complete else {}
         scores = {name: results[name] for name in SCORES if name in results}
-        self.sweep.journal.write(
-            Entry(self.number, self.title, state, str(self.folder), scores, reason)
-        )
+        entry = JobEntry(self.number, self.title, state, str(self.folder), scores, reason)
+        self.sweep.journal.write(entry)
         if reason:
-            self.say(
-                f"{state}: {reason}"
-                if state is State.FAILED
-                else f"{self.title}: {state}, {reason}"
-            )
+            failed = state is JobState.FAILED
+            self.say(f"{state}: {reason}" if failed else f"{self.title}: {state}, {reason}")
 
 
 def _objective(folder: Path) -> float | None:
-    """What a sweeper may minimize: never a score of test views."""
+    """Return what a sweeper may minimize: never a score of test views."""
     results = _results(folder)
     return results.get(OBJECTIVE) if results.get("held_out") else None
 
@@ -123,11 +138,9 @@ def _results(folder: Path) -> Mapping[str, Any]:
 
 
 def _fair_threads(plan: Plan) -> int:
-    """Threads for one of several jobs: its share of this machine, or what the launcher gives its processes."""
-    import numba
-
-    # Not torch's number: a job before this one in the same process has changed it.
+    """Return the share of a job in this machine, or what the launcher gives its processes."""
+    # Not torch's number, which a job before this one in the same process has changed.
     given = int(numba.config.NUMBA_NUM_THREADS)
-    return (
-        given if plan.at_once is None else max(1, min(given, (os.cpu_count() or 1) // plan.at_once))
-    )
+    if plan.at_once is None:
+        return given
+    return max(1, min(given, (os.cpu_count() or 1) // plan.at_once))

@@ -1,4 +1,7 @@
-"""What became of each job, told by the jobs themselves: they may run in other processes, and on other machines."""
+"""What became of each job of a sweep.
+
+The jobs write it themselves: they may run in other processes, and on other machines.
+"""
 
 from __future__ import annotations
 
@@ -13,8 +16,8 @@ from pathlib import Path
 from nerfreg.files import write_json
 
 
-class State(StrEnum):
-    """begun: and not heard of since."""
+class JobState(StrEnum):
+    """How far a job has come; one that stays at BEGUN was interrupted."""
 
     BEGUN = "begun"
     DONE = "done"
@@ -23,16 +26,22 @@ class State(StrEnum):
 
 
 @dataclass(frozen=True)
-class Entry:
-    """One job. number: in the order of the sweep, from 0. title: what distinguishes it from the others.
+class JobEntry:
+    """What the journal knows of one job.
 
-    reason: why it was skipped or failed.
-    scores: `psnr` and the like of `results.json`, None where unknown; empty unless it is there.
+    Attributes:
+        number: The place in the order of the sweep, from 0.
+        title: What distinguishes the job from the others.
+        state: How far it has come.
+        folder: Where its run is.
+        scores: `psnr` and `average` of its `results.json`, None where unknown; empty without
+            that file.
+        reason: Why it was skipped or failed.
     """
 
     number: int
     title: str
-    state: State
+    state: JobState
     folder: str
     scores: Mapping[str, float | None]
     reason: str = ""
@@ -40,24 +49,28 @@ class Entry:
 
 @dataclass(frozen=True)
 class Journal:
-    """A folder that all jobs of a sweep can write to, one file each."""
+    """A folder to which all jobs of a sweep can write, one file each."""
 
     folder: Path
 
-    def write(self, entry: Entry) -> None:
-        """Tell of a job, instead of what was told before."""
+    def write(self, entry: JobEntry) -> None:
+        """Save the entry of a job in place of its last one.
+
+        Raises:
+            NerfregError: The file cannot be written.
+        """
         write_json(self.folder / f"{entry.number}.json", asdict(entry))
 
-    def read(self) -> list[Entry]:
-        """The latest of each job, in the order of their numbers."""
+    def read(self) -> list[JobEntry]:
+        """Return the latest entry of each job, by number."""
         records = [
             json.loads(path.read_text(encoding="utf-8")) for path in self.folder.glob("[0-9]*.json")
         ]
-        entries = [Entry(**{**record, "state": State(record["state"])}) for record in records]
+        entries = [JobEntry(**{**record, "state": JobState(record["state"])}) for record in records]
         return sorted(entries, key=lambda entry: entry.number)
 
     def remove(self) -> None:
-        """Nobody will ask again."""
+        """Delete the folder, and its parent if no other sweep writes there."""
         shutil.rmtree(self.folder, ignore_errors=True)
-        with suppress(OSError):  # of another sweep that is still at it
+        with suppress(OSError):  # The parent holds the journal of another sweep.
             self.folder.parent.rmdir()

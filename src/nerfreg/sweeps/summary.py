@@ -1,4 +1,4 @@
-"""What a sweep has done, at its end or where it was stopped."""
+"""What a sweep has done, printed at its end or when it is interrupted."""
 
 from __future__ import annotations
 
@@ -11,15 +11,27 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from nerfreg.sweeps.journal import Entry, State
+from nerfreg.sweeps.journal import JobEntry, JobState
 
 COLUMNS = ("", "state", "psnr", "average", "job")
-STYLES = {State.DONE: "green", State.SKIPPED: "dim", State.FAILED: "red", State.BEGUN: "yellow"}
-WORDS = {State.BEGUN: "interrupted"}
+STYLES = {
+    JobState.DONE: "green",
+    JobState.SKIPPED: "dim",
+    JobState.FAILED: "red",
+    JobState.BEGUN: "yellow",
+}
+WORDS = {JobState.BEGUN: "interrupted"}
 
 
-def print_summary(entries: Sequence[Entry], jobs: int) -> None:
-    """A table on a terminal, elsewhere columns separated by tabs; then what failed and why, and all in numbers."""
+def print_summary(entries: Sequence[JobEntry], jobs: int) -> None:
+    """Print the jobs, then what failed and why, then how many came to what.
+
+    The jobs are a table on a terminal; elsewhere they are columns separated by tabs.
+
+    Args:
+        entries: The jobs that were begun.
+        jobs: How many there were to do.
+    """
     if entries and sys.stdout.isatty():
         table = Table(*COLUMNS, box=None, pad_edge=False)
         for entry in entries:
@@ -30,26 +42,26 @@ def print_summary(entries: Sequence[Entry], jobs: int) -> None:
         for entry in entries:
             print("\t".join((*_row(entry), _shown(entry.folder))))
     for entry in entries:
-        if entry.state is State.FAILED:
+        if entry.state is JobState.FAILED:
             print(f"{_shown(entry.folder)}: {entry.reason}")
     print(in_numbers(entries, jobs))
 
 
-def in_numbers(entries: Sequence[Entry], jobs: int) -> str:
-    """`4 jobs: 2 done, 1 skipped, 1 failed`."""
+def in_numbers(entries: Sequence[JobEntry], jobs: int) -> str:
+    """Return `4 jobs: 2 done, 1 skipped, 1 failed`."""
     counts = Counter(entry.state for entry in entries)
     parts = [
         f"{counts[state]} {WORDS.get(state, state)}"
-        for state in (State.DONE, State.SKIPPED, State.FAILED)
+        for state in (JobState.DONE, JobState.SKIPPED, JobState.FAILED)
     ]
-    if counts[State.BEGUN]:
-        parts.append(f"{counts[State.BEGUN]} {WORDS[State.BEGUN]}")
+    if counts[JobState.BEGUN]:
+        parts.append(f"{counts[JobState.BEGUN]} {WORDS[JobState.BEGUN]}")
     if jobs > len(entries):
         parts.append(f"{jobs - len(entries)} not begun")
     return f"{jobs} {'job' if jobs == 1 else 'jobs'}: {', '.join(parts)}"
 
 
-def _row(entry: Entry) -> tuple[str, ...]:
+def _row(entry: JobEntry) -> tuple[str, ...]:
     psnr, average = entry.scores.get("psnr"), entry.scores.get("average")
     return (
         str(entry.number + 1),
