@@ -110,17 +110,3 @@ def publish_record(path: Path, title: str, record: dict[str, Any]) -> None:
 
 def _line(point: Any) -> list[object]:
     return [f"{value:.6g}" if isinstance(value, float) else value for value in astuple(point)]
-
-
-def new_table(title: str, caption: str) -> Table:
-    """Return a table without columns, for callers that add columns and rows themselves."""
-    return build_table(title, caption, (), ())
-
-
-def write_record(path: Path, record: dict[str, Any]) -> None:
-    """Write one JSON object to a file of its own.
-
-    Raises:
-        NerfregError: The file cannot be written.
-    """
-    write_json(path, record)
