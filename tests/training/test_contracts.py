@@ -11,7 +11,6 @@ from torch import Tensor, nn
 
 from nerfreg.field.layers import Linear
 from nerfreg.hooks import Needs, Rays, Rendering, Samples
-from nerfreg.registry import Term
 from nerfreg.training.contracts import (
     Untouched,
     wrong_bounds,
@@ -133,9 +132,9 @@ def test_samples_must_come_back(samples: Samples) -> None:
 
 def test_terms() -> None:
     def term(value: Tensor) -> list[str]:
-        return wrong_terms([Term("kl", "kl", 1.0, value)])
+        return wrong_terms({"kl": value})
 
-    assert wrong_terms([]) == term(torch.tensor(-3.0)) == []
+    assert wrong_terms({}) == term(torch.tensor(-3.0)) == []
     assert term(torch.tensor(torch.inf)) == ["term 'kl' is inf"]
     assert term(torch.zeros(2)) == ["term 'kl' has shape (2,), not that of a scalar"]
 

@@ -44,7 +44,7 @@ class Outcome:
 def check_losses(report: Report, subject: Subject, case: Case, inputs: Inputs, spot: Spot) -> None:
     """All that can be said of the loss of one batch, in the precision that the inputs have."""
     outcome = evaluate(subject, inputs)
-    wrong = outcome.edits + wrong_terms(outcome.terms)
+    wrong = outcome.edits + wrong_terms({t.name: t.value for t in outcome.terms})
     report.judge("value", spot, wrong)
     if outcome.driver.broken:
         report.judge("contract", spot, broken_promises(outcome.driver))
