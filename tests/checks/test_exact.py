@@ -6,42 +6,7 @@ import mpmath
 import pytest
 import torch
 
-from nerfreg.checks.exact import composite_exactly, relative_error
-
-
-def test_composite_by_hand():
-    """Two intervals of length 1 and thickness log 2: each takes half of what arrives."""
-    half = math.log(2)
-    sigma = torch.tensor([[half, half]], dtype=torch.float64)
-    rgb = torch.tensor([[[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]], dtype=torch.float64)
-    edges = torch.tensor([[2.0, 3.0, 4.0]], dtype=torch.float64)
-    [ray] = composite_exactly(sigma, rgb, edges, torch.ones(1, 3).double())
-    assert [float(w) for w in ray.weights] == pytest.approx([1 / 2, 1 / 4], rel=1e-15)
-    assert [float(t) for t in ray.log_transmittance] == pytest.approx([0.0, -half], rel=1e-15)
-    assert float(ray.opacity) == pytest.approx(3 / 4, rel=1e-15)
-    # (2.5 / 2 + 3.5 / 4) / (3 / 4)
-    assert float(ray.depth) == pytest.approx(2.125 / 0.75, rel=1e-15)
-    # a quarter of the white background passes
-    assert [float(c) for c in ray.rgb] == pytest.approx([3 / 4, 1 / 2, 1 / 4], rel=1e-15)
-
-
-def test_empty_ray_has_the_depth_of_its_far_end():
-    [ray] = composite_exactly(
-        torch.zeros(1, 2), torch.ones(1, 2, 3), torch.tensor([[1.0, 2.0, 5.0]])
-    )
-    assert (ray.opacity, ray.depth, ray.rgb) == (0, 5, [0, 0, 0])
-    assert ray.weights == [0, 0]
-
-
-def test_digits_where_float64_has_none():
-    """Weights of a ray of thickness 1e-30 are 1e-30 - 5e-61, and behind a thickness of 1000 there are exp(-1000)."""
-    edges = torch.tensor([[0.0, 1.0, 2.0]], dtype=torch.float64)
-    sigma = torch.tensor([[1e-30, 0.0], [1000.0, 1000.0]], dtype=torch.float64)
-    thin, thick = composite_exactly(sigma, torch.ones(2, 2, 3).double(), edges.expand(2, 3))
-    with mpmath.workdps(50):
-        first = mpmath.mpf(1e-30)
-        assert abs(first - first**2 / 2 - thin.weights[0]) < mpmath.mpf(10) ** -75
-        assert abs(mpmath.log(thick.weights[1]) + 1000) < mpmath.mpf(10) ** -40
+from nerfreg.checks.exact import relative_error
 
 
 @pytest.mark.parametrize(

@@ -3,21 +3,26 @@ from __future__ import annotations
 import json
 import math
 
-from nerfreg.checks.report import Report, Spot
-from nerfreg.checks.table import COLUMNS, as_json, print_reports
+from nerfreg.checks.report import COLUMNS, Report, Spot, as_json, print_reports
 
 WALL = Spot("wall_first", "float32", 48)
+REPRODUCTION = (
+    "nerfreg check suspect --case wall_first --dtype float32 --samples 48 reg.suspect.power=2"
+)
 FOG = Spot("fog", "float64", 2)
 
 
 def made() -> Report:
     report = Report("suspect", ("ray_bounds", "loss"), ("reg.suspect.power=2",))
-    report.judge("value", FOG, [])
-    report.judge("value", WALL, ["not finite"])
-    report.judge("value", FOG, ["not finite"])
-    report.measure("term", FOG, 1e-12, 1e-11)
-    report.measure("term", FOG, 1e-13, 1e-11)
-    report.inform("term", WALL, math.nan, 1e-3)
+    with report.at(FOG, "value"):
+        report.judge("value", [])
+    with report.at(WALL, "value"):
+        report.judge("value", ["not finite"])
+        report.compare_own("term", math.nan, 1.0)
+    with report.at(FOG, "value"):
+        report.judge("value", ["not finite"])
+        report.compare("term", 1 + 2**-40, 1.0)
+        report.compare("term", 1 + 2**-43, 1.0)
     return report
 
 
@@ -35,8 +40,9 @@ def test_states():
 
 def test_worst_error_is_kept_and_nan_is_the_worst():
     report = made()
-    assert (report.worst["float64"].error, report.worst["float64"].exact) == (1e-12, True)
-    report.inform("term", WALL, 0.5, 1e-3)
+    assert (report.worst["float64"].error, report.worst["float64"].exact) == (2**-40, True)
+    with report.at(WALL, "value"):
+        report.compare_own("term", 1.5, 1.0)
     assert math.isnan(report.worst["float32"].error)
 
 
@@ -52,7 +58,7 @@ def test_table_in_plain_text(capsys):
         "FAIL",
         "n/a",
         "~nan",
-        "1.0e-12",
+        "9.1e-13",
         "n/a",
         "n/a",
         "FAIL",
@@ -62,14 +68,15 @@ def test_table_in_plain_text(capsys):
     assert lines[3:7] == [
         "",
         "suspect: value: not finite",
-        "    nerfreg check suspect --case wall_first --dtype float32 --samples 48 reg.suspect.power=2",
+        f"    {REPRODUCTION}",
         "    and 1 times more, in fog",
     ]
 
 
 def test_table_shows_five_different_failures(capsys):
     report = Report("suspect")
-    report.judge("value", WALL, [f"mistake {i}" for i in range(7)])
+    report.spot = WALL
+    report.judge("value", [f"mistake {i}" for i in range(7)])
     print_reports([report])
     out = capsys.readouterr().out
     assert [f"mistake {i}" in out for i in range(7)] == [True] * 5 + [False] * 2
@@ -92,5 +99,5 @@ def test_json():
         "samples": 48,
         "check": "value",
         "message": "not finite",
-        "reproduce": "nerfreg check suspect --case wall_first --dtype float32 --samples 48 reg.suspect.power=2",
+        "reproduce": REPRODUCTION,
     }

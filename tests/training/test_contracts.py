@@ -14,6 +14,7 @@ from nerfreg.hooks import Needs, Rays, Rendering, Samples
 from nerfreg.training.contracts import (
     Untouched,
     wrong_bounds,
+    wrong_known_depth,
     wrong_layer,
     wrong_needs,
     wrong_samples,
@@ -241,3 +242,8 @@ def test_nan_is_like_nan() -> None:
     assert watch.edits() == []
     samples.positions.data[0, 0, 0] = 0
     assert watch.edits() == ["positions has been edited in place"]
+
+
+def test_half_known_intervals_are_wrong():
+    known = torch.tensor([[1.0, 2.0], [float("nan")] * 2, [float("nan"), 2.0]]).view(1, 1, 3, 2)
+    assert wrong_known_depth(known) == ["one end is NaN and the other is not, in 1 pixels"]

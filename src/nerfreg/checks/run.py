@@ -4,24 +4,39 @@ from __future__ import annotations
 
 import sys
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
+from omegaconf import OmegaConf
 from rich.console import Console
 
-from nerfreg.checks import compositor
-from nerfreg.checks.cases import CASES
-from nerfreg.checks.grid import Grid, check_compositor, check_plugin
+from nerfreg.checks.cases import CASES, Case
+from nerfreg.checks.compositor import check_compositing
+from nerfreg.checks.driver import Subject
 from nerfreg.checks.inputs import DTYPES
-from nerfreg.checks.layers import LAYER_CASES
-from nerfreg.checks.photographs import PHOTOGRAPH_CASES
-from nerfreg.checks.report import Report
-from nerfreg.checks.subject import Subject, make_subject
-from nerfreg.checks.table import as_json, print_reports
+from nerfreg.checks.layers import LAYER_CASES, LayerCase, check_layers
+from nerfreg.checks.losses import check_losses
+from nerfreg.checks.photographs import PHOTOGRAPH_CASES, PhotographCase, check_known_depth
+from nerfreg.checks.report import Report, as_json, print_reports
+from nerfreg.checks.transforms import check_encoder_input, check_needs, check_ray_bounds
 from nerfreg.errors import NerfregError, nearest
-from nerfreg.registry import PluginInfo, installed
+from nerfreg.registry import installed
 
-ALL_CASES = (*CASES, *LAYER_CASES, *PHOTOGRAPH_CASES)
+AnyCase = Case | LayerCase | PhotographCase
+ALL_CASES: tuple[AnyCase, ...] = (*CASES, *LAYER_CASES, *PHOTOGRAPH_CASES)
+COMPOSITOR = Subject("compositing", ("core",), OmegaConf.create())
+CHECKS_OF: dict[type[AnyCase], tuple[tuple[str, str, Callable[..., None]], ...]] = {
+    Case: (
+        ("core", "value", check_compositing),
+        ("needs", "contract", check_needs),
+        ("ray_bounds", "contract", check_ray_bounds),
+        ("encoder_input", "contract", check_encoder_input),
+        ("loss", "value", check_losses),
+    ),
+    LayerCase: (("layer", "value", check_layers),),
+    PhotographCase: (("known_depth", "value", check_known_depth),),
+}
+"""What a kind of case is for: the hook, what has failed if the plugin raises, and the check."""
 
 
 @dataclass(frozen=True)
@@ -43,15 +58,29 @@ class Selection:
         if self.case is not None and self.case not in names:
             raise NerfregError(f"--case {self.case}: {nearest(self.case, names)}")
 
-    def grid(self) -> Grid:
-        """Return the cases, precisions and sizes that are selected."""
-        return Grid(
-            cases=tuple(case for case in CASES if self.case in (None, case.name)),
-            layer_cases=tuple(case for case in LAYER_CASES if self.case in (None, case.name)),
-            photograph_cases=tuple(c for c in PHOTOGRAPH_CASES if self.case in (None, c.name)),
-            dtypes=tuple(DTYPES) if self.dtype is None else (self.dtype,),
-            samples=self.samples,
-        )
+
+def check_plugin(
+    subject: Subject,
+    cases: Sequence[AnyCase] = ALL_CASES,
+    dtypes: Sequence[str] = tuple(DTYPES),
+    samples: int | None = None,
+) -> Report:
+    """Check one plugin over cases, precisions and numbers of samples.
+
+    Args:
+        subject: The plugin.
+        cases: Each is used for the hooks by which the plugin takes part in a run.
+        dtypes: Names of precisions.
+        samples: Number of samples on a ray, in place of those of each case.
+    """
+    report = Report(subject.name, subject.hook_points, subject.overrides)
+    points = ((case, *point) for case in cases for point in case.points(dtypes, samples))
+    for case, spot, given in points:
+        for hook, failing, check in CHECKS_OF[type(case)]:
+            if hook in subject.hook_points:
+                with report.at(spot, failing):
+                    check(report, subject, case, given)
+    return report
 
 
 def run(words: Sequence[str], selection: Selection, as_document: bool = False) -> int:
@@ -69,67 +98,57 @@ def run(words: Sequence[str], selection: Selection, as_document: bool = False) -
     Raises:
         NerfregError: A plugin or key is not known.
     """
-    plugins, overrides = _parted(words)
-    subjects = _subjects(plugins, overrides)
-    grid = selection.grid()
-    reports: list[Report] = []
+    cases = [case for case in ALL_CASES if selection.case in (None, case.name)]
+    dtypes = tuple(DTYPES) if selection.dtype is None else (selection.dtype,)
+    reports = []
+    subjects = _subjects([word for word in words if "=" not in word], _overrides(words))
     with Console(stderr=True).status("checking") as status:
-        if not plugins or compositor.NAME in plugins:
-            status.update(f"checking {compositor.NAME}")
-            reports.append(check_compositor(grid))
         for subject in subjects:
             status.update(f"checking {subject.name}")
-            reports.append(check_plugin(subject, grid))
+            reports.append(check_plugin(subject, cases, dtypes, selection.samples))
     if as_document:
         print(as_json(reports))
     else:
         print_reports(reports)
-    return 0 if all(report.passed for report in reports) else 1
+    return 1 if any(report.failures for report in reports) else 0
 
 
-def _parted(words: Sequence[str]) -> tuple[list[str], dict[str, list[str]]]:
-    """Names of plugins, and overrides by plugin."""
-    plugins: list[str] = []
-    overrides: dict[str, list[str]] = defaultdict(list)
+def _overrides(words: Sequence[str]) -> dict[str, list[str]]:
+    """By plugin."""
+    overrides = defaultdict(list)
     for word in words:
         name, equals, _ = word.partition("=")
-        if not equals:
-            plugins.append(word)
-        elif name.startswith("reg.") and name.count(".") == 2:
-            overrides[name.split(".")[1]].append(word)
-        else:
+        if equals and not (name.startswith("reg.") and name.count(".") == 2):
             raise NerfregError(f"'{word}' is no plugin and no override; write reg.NAME.key=value")
-    return plugins, overrides
+        if equals:
+            overrides[name.split(".")[1]].append(word)
+    return overrides
 
 
 def _subjects(plugins: Sequence[str], overrides: Mapping[str, Sequence[str]]) -> list[Subject]:
-    """The plugins to check; broken ones are an error if they were named, else a warning."""
+    """What to check; broken plugins are an error if they were named, else a warning."""
     found = {plugin.name: plugin for plugin in installed()}
+    known = (*found, COMPOSITOR.name)
     for name in (*plugins, *overrides):
-        if name not in found and name != compositor.NAME:
-            raise NerfregError(
-                f"unknown plugin '{name}'; {nearest(name, (*found, compositor.NAME))}"
-            )
+        if name not in known:
+            raise NerfregError(f"unknown plugin '{name}'; {nearest(name, known)}")
         if plugins and name not in plugins:
             raise NerfregError(f"{overrides[name][0]}: plugin '{name}' is not checked; name it too")
-    subjects = []
+    subjects = [COMPOSITOR] if not plugins or COMPOSITOR.name in plugins else []
     for name, plugin in found.items():
+        broken = f"plugin '{name}' of package {plugin.package}: {plugin.error}"
         if plugins and name not in plugins:
             continue
         if plugin.cls is not None:
-            subjects.append(make_subject(plugin, overrides.get(name, ())))
+            subjects.append(Subject.of(plugin, overrides.get(name, ())))
         elif plugins:
-            raise NerfregError(_broken(plugin))
+            raise NerfregError(broken)
         else:
-            print(f"nerfreg: warning: left out {_broken(plugin)}", file=sys.stderr)
+            print(f"nerfreg: warning: left out {broken}", file=sys.stderr)
     return subjects
 
 
-def _broken(plugin: PluginInfo) -> str:
-    return f"plugin '{plugin.name}' of package {plugin.package}: {plugin.error}"
-
-
 def listing() -> str:
-    cases = [(case.name, case.description) for case in ALL_CASES]
-    width = max(len(name) for name, _ in cases)
-    return "\n".join(f"{name:<{width}}  {description}" for name, description in cases)
+    """Return a line for each case, with its name and what it is."""
+    width = max(len(case.name) for case in ALL_CASES)
+    return "\n".join(f"{case.name:<{width}}  {case.description}" for case in ALL_CASES)

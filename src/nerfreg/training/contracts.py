@@ -15,6 +15,24 @@ from nerfreg.numerics import not_finite
 from nerfreg.scenes.scene import Photographs
 
 
+def wrong_known_depth(known: Tensor) -> list[str]:
+    """Check that `nerfreg_known_depth` tells both ends of an interval, (..., 2), or neither.
+
+    The nearer one is not behind the camera, and the farther one is finite.
+    """
+    first, last = known.unbind(-1)
+    mistakes = {
+        "one end is NaN and the other is not": first.isnan() != last.isnan(),
+        "an interval begins behind the camera": first < 0,
+        "an interval has no end": last.isinf(),
+    }
+    return [
+        f"{line}, in {int(where.sum())} pixels"
+        for line, where in mistakes.items()
+        if bool(where.any())
+    ]
+
+
 def wrong_needs(needs: object) -> list[str]:
     """Check that `nerfreg_needs` returned None, or a `Needs` that the core can render."""
     if needs is None:
@@ -40,7 +58,7 @@ def wrong_needs(needs: object) -> list[str]:
 
 
 def wrong_bounds(near: object, far: object, rays: Rays) -> list[str]:
-    """Check that near and far of `nerfreg_ray_bounds` are (R,), finite, and near is nowhere > far."""
+    """Check that near and far of `nerfreg_ray_bounds` are (R,), finite and in order."""
     wrong = _unlike("near", near, rays.near) + _unlike("far", far, rays.far)
     if wrong or not (isinstance(near, Tensor) and isinstance(far, Tensor)):
         return wrong
