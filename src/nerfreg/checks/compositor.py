@@ -5,9 +5,9 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+from nerfreg.checks.accuracy import not_finite_gradients, wrong_gradient
 from nerfreg.checks.cases import Case
 from nerfreg.checks.driver import Subject
-from nerfreg.checks.gradients import not_finite_gradients, wrong_gradient
 from nerfreg.checks.inputs import Inputs
 from nerfreg.checks.report import Report
 from nerfreg.numerics import not_finite
@@ -31,7 +31,7 @@ def check_compositing(report: Report, _: Subject, case: Case, inputs: Inputs) ->
         background = inputs.rays.background
         truth = composite_exactly(inputs.density, inputs.colors, inputs.t_edges, background)
         for name, part in parts.items():
-            report.compare(name, part, truth[name], LIMITS[report.spot.dtype])
+            report.compare(name, part, truth[name], LIMITS)
     if case.differentiable(report.spot):
         report.judge("gradient", wrong_gradient(_mean, inputs))
 

@@ -12,11 +12,10 @@ from typing import Any
 import torch
 from jaxtyping import Bool, Float
 from omegaconf import DictConfig, OmegaConf
-from omegaconf.errors import OmegaConfBaseException
 from torch import Tensor, nn
 
 from nerfreg.checks.inputs import Inputs, cast
-from nerfreg.errors import NerfregError, nearest
+from nerfreg.config.plugin import plugin_config
 from nerfreg.field.network import Network
 from nerfreg.hooks import Rays, Regularizer, Rendering, Samples, Step
 from nerfreg.numerics import single
@@ -40,45 +39,27 @@ class Subject:
     Attributes:
         name: Name of the plugin.
         hook_points: The hooks by which it takes part in a run.
-        node: Its configuration.
+        config: Its configuration.
         overrides: Those that made the configuration, as given on the command line.
     """
 
     name: str
     hook_points: tuple[str, ...]
-    node: DictConfig
+    config: DictConfig
     overrides: tuple[str, ...] = ()
 
     @classmethod
     def of(cls, plugin: PluginInfo, overrides: Sequence[str] = ()) -> Subject:
-        """Return a plugin with its defaults changed by overrides `reg.NAME.key=value`.
-
-        Raises:
-            NerfregError: The plugin's configuration refuses an override.
-        """
-        try:
-            node: DictConfig = OmegaConf.structured(plugin.cls)
-            for override in overrides:
-                path, _, value = override.partition("=")
-                key = path.removeprefix(f"reg.{plugin.name}.")
-                if key not in node:
-                    raise NerfregError(f"unknown key '{path}'; {nearest(key, map(str, node))}")
-                node.merge_with_dotlist([f"{key}={value}"])
-            OmegaConf.to_object(node)
-        except OmegaConfBaseException as error:
-            raise NerfregError(f"reg.{plugin.name}: {error}".partition("\n")[0]) from error
-        return cls(plugin.name, plugin.hook_points, node, tuple(overrides))
-
-    def plugin(self) -> Regularizer:
-        """Return the plugin as configured, but with weight 1 and switched on all the time."""
-        plugin = OmegaConf.to_object(self.node)
-        assert isinstance(plugin, Regularizer)
-        plugin.weight, plugin.start, plugin.end = 1.0, 0.0, 1.0
-        return plugin
+        """Return a usable plugin with its defaults changed by overrides `reg.NAME.key=value`."""
+        config = plugin_config(plugin, overrides)
+        return cls(plugin.name, plugin.hook_points, config, tuple(overrides))
 
     def hooks(self) -> Hooks:
-        """Return the hooks of a run with this plugin alone."""
-        return Hooks({self.name: self.plugin()})
+        """Return the hooks of a run with this plugin alone, of weight 1 and on all the time."""
+        plugin = OmegaConf.to_object(self.config)
+        assert isinstance(plugin, Regularizer)
+        plugin.weight, plugin.start, plugin.end = 1.0, 0.0, 1.0
+        return Hooks({self.name: plugin})
 
 
 class Driver:

@@ -9,9 +9,9 @@ from itertools import pairwise
 import torch
 from torch import nn
 
+from nerfreg.checks.accuracy import not_finite_gradients
 from nerfreg.checks.cases import CASES
 from nerfreg.checks.driver import WIDTHS, Driver, Subject
-from nerfreg.checks.gradients import not_finite_gradients
 from nerfreg.checks.inputs import DTYPES, cast
 from nerfreg.checks.report import LIMITS, Report, Spot
 from nerfreg.field.layers import ACTIVATIONS, AffineLayer
@@ -49,30 +49,23 @@ LAYER_CASES = (
 
 def check_layers(report: Report, subject: Subject, case: LayerCase, _: None) -> None:
     """Check that every layer has finite outputs and gradients, and computes what it tells."""
-    driver = Driver(subject, cast(CASES[0].build(2), DTYPES[report.spot.dtype]))
+    dtype = DTYPES[report.spot.dtype]
+    driver = Driver(subject, cast(CASES[0].build(2), dtype))
     for network, widths in WIDTHS.items():
         layers = zip(driver.networks[network].layers, pairwise(widths), strict=True)
         for index, (layer, shape) in enumerate(layers):
-            _check_layer(report, driver, case, f"layer {index} of {network}", layer, shape)
+            name = f"layer {index} of {network}"
+            wrong = wrong_layer(layer.float(), *shape)
+            report.judge("contract", [f"{name}: {line}" for line in wrong])
+            _stress(layer.to(dtype), case.scalar)
+            _check_layer(report, driver, name, layer, shape[0])
     driver.keep_contract(driver.step())
     report.judge("contract", driver.broken_promises())
 
 
-def _check_layer(
-    report: Report,
-    driver: Driver,
-    case: LayerCase,
-    name: str,
-    layer: nn.Module,
-    shape: tuple[int, int],
-) -> None:
-    wrong = wrong_layer(layer.float(), *shape)
-    report.judge("contract", [f"{name}: {line}" for line in wrong])
-    layer.to(DTYPES[report.spot.dtype])
-    _stress(layer, case.scalar)
-    probe = torch.rand(POINTS, shape[0], generator=torch.Generator().manual_seed(0))
-    probe = probe.to(DTYPES[report.spot.dtype])
-    output = layer(probe)
+def _check_layer(report: Report, driver: Driver, name: str, layer: nn.Module, width: int) -> None:
+    probe = torch.rand(POINTS, width, generator=torch.Generator().manual_seed(0))
+    output = layer(probe := probe.to(DTYPES[report.spot.dtype]))
     report.judge("value", not_finite(f"output of {name}", output))
     if output.requires_grad:
         leaves = ((f"{part} in {name}", value) for part, value in layer.named_parameters())

@@ -8,10 +8,9 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from nerfreg.checks.accuracy import not_finite_gradients, relative_error, wrong_gradient
 from nerfreg.checks.cases import SIZES, Case
 from nerfreg.checks.driver import Driver, Subject
-from nerfreg.checks.exact import relative_error
-from nerfreg.checks.gradients import not_finite_gradients, wrong_gradient
 from nerfreg.checks.inputs import Inputs, cast
 from nerfreg.checks.report import LIMITS, Report
 from nerfreg.training.contracts import Untouched, wrong_terms
@@ -96,7 +95,7 @@ def _variances(subject: Subject, loss: Loss, dtype: str) -> list[str]:
         "the order of the rays": inputs.permuted(torch.Generator().manual_seed(2)),
         "twice the same rays": inputs.repeated(2),
     }
-    if subject.plugin().scale_free:
+    if loss.driver.hooks.plugins[subject.name].scale_free:
         changes["a scene 1024 times as large"] = inputs.scaled(SCALE)
     wrong = []
     for change, changed in changes.items():

@@ -21,14 +21,8 @@ class PhotographCase:
     """Cameras in a row that look the same way at noise.
 
     Attributes:
-        name: For the command line.
-        description: For the list of cases.
-        views: Number of photographs.
-        width: In pixels.
-        height: In pixels.
-        baseline: Distance between neighbouring cameras, times `scale`.
-        near: Where rays begin, times `scale`.
-        scale: Size of the scene.
+        views: Number of photographs, of `width` x `height` pixels.
+        baseline: Distance between neighbouring cameras; like `near`, in units of `scale`.
         contrast: Of the noise, from 0 (grey) to 1.
         alpha: Opacity of all pixels; None: there is no such channel.
     """

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Any
 
-from nerfreg.checks.exact import relative_error
+from torch import Tensor
+
+from nerfreg.checks.accuracy import relative_error
 from nerfreg.files import json_text
 
 CHECKS = ("value", "gradient", "error", "invariance", "contract")
@@ -21,12 +23,6 @@ LIMITS = {"float32": 1e-5, "float64": 1e-11}
 
 OWN_LIMIT = 1e-3
 """Largest relative error against a plugin's own value in float64, where it ships no exact one."""
-
-COLUMNS = (
-    *("plugin", "hooks", "cases", "value", "grad", "float32", "float64"),
-    *("invar.", "contract", "verdict"),
-)
-"""cases: combinations of case, precision and size. float32, float64: worst relative error."""
 
 SHOWN = 5
 """How many different failures of one plugin are spelled out."""
@@ -98,35 +94,33 @@ class Report:
         self.checked.add(check)
         self.failures += [Failure(self.spot, check, line) for line in wrong]
 
-    def compare(self, what: str, values: Any, truth: Any, limit: float | None = None) -> None:
-        """Compare values with exact ones, in precisions that have a limit.
+    def compare(
+        self, what: str, values: Any, truth: Any, limits: Mapping[str, float] = LIMITS
+    ) -> None:
+        """Compare values with exact ones in nested lists, in precisions that have a limit."""
+        if limit := limits.get(self.spot.dtype):
+            error = self._error_of(values, truth, exact=True)
+            message = f"relative error {error:.2g} against the exact value, limit {limit:g}"
+            self.judge("error", [] if error <= limit else [f"{what}: {message}"])
 
-        Args:
-            what: What the values are called in a failure.
-            values: A tensor.
-            truth: Numbers, in lists nested as the tensor is.
-            limit: The largest relative error, in place of that of `LIMITS`.
-        """
-        dtype = self.spot.dtype
-        if dtype in LIMITS:
-            error = relative_error(values, truth, dtype)
-            largest = LIMITS[dtype] if limit is None else limit
-            message = f"relative error {error:.2g} against the exact value, limit {largest:g}"
-            self._keep(Worst(error, self.spot, exact=True))
-            self.judge("error", [] if error <= largest else [f"{what}: {message}"])
-
-    def compare_own(self, what: str, values: Any, own: Any) -> None:
-        """Compare values with those that the plugin itself computes in float64."""
-        error = relative_error(values, own, self.spot.dtype)
-        message = f"{what}: {error:.2g} off its own value in float64, limit {OWN_LIMIT:g}"
-        self._keep(Worst(error, self.spot, exact=False))
+    def compare_own(self, what: str, value: Tensor, own: Tensor) -> None:
+        """Compare a value with the one that the plugin itself computes in float64."""
+        error = self._error_of(value, own, exact=False)
         if not error <= OWN_LIMIT:
-            self.judge("error", [message])
+            message = f"{error:.2g} off its own value in float64, limit {OWN_LIMIT:g}"
+            self.judge("error", [f"{what}: {message}"])
 
-    def _keep(self, new: Worst) -> None:
-        old = self.worst.get(new.spot.dtype)
-        if old is None or math.isnan(new.error) or new.error > old.error:
-            self.worst[new.spot.dtype] = new
+    def _error_of(self, values: Tensor, truth: Any, exact: bool) -> float:
+        dtype = self.spot.dtype
+        error, old = relative_error(values, truth, dtype), self.worst.get(dtype)
+        if old is None or math.isnan(error) or error > old.error:
+            self.worst[dtype] = Worst(error, self.spot, exact)
+        return error
+
+    def worst_error(self, dtype: str) -> str:
+        """Return the largest error in words, with ~ if it is not against an exact value."""
+        worst = self.worst.get(dtype)
+        return "n/a" if worst is None else f"{'' if worst.exact else '~'}{worst.error:.1e}"
 
     def state(self, *checks: str) -> str:
         """Return FAIL if any of these checks failed, n/a if none applied, else ok."""
@@ -146,11 +140,26 @@ class Report:
         return " ".join(["nerfreg check", self.plugin, where, *self.overrides])
 
 
+COLUMNS: dict[str, Callable[[Report], str]] = {
+    "plugin": lambda report: report.plugin,
+    "hooks": lambda report: " ".join(hook.rpartition("_")[2] for hook in report.hook_points),
+    "cases": lambda report: str(len(report.spots)),
+    "value": lambda report: report.state("value"),
+    "grad": lambda report: report.state("gradient"),
+    "float32": lambda report: report.worst_error("float32"),
+    "float64": lambda report: report.worst_error("float64"),
+    "invar.": lambda report: report.state("invariance"),
+    "contract": lambda report: report.state("contract"),
+    "verdict": lambda report: report.verdict,
+}
+"""cases: combinations of case, precision and size. float32, float64: worst relative error."""
+
+
 def print_reports(reports: Sequence[Report]) -> None:
     """Print a table, then the failures, each with the command line that shows it again."""
-    rows = [COLUMNS, *map(_row, reports)]
-    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    for row in rows:
+    rows = [[cell(report) for cell in COLUMNS.values()] for report in reports]
+    widths = [max(map(len, column)) for column in zip(COLUMNS, *rows, strict=True)]
+    for row in ([*COLUMNS], *rows):
         cells = (cell.ljust(width) for cell, width in zip(row, widths, strict=True))
         print("  ".join(cells).rstrip())
     if any("~" in cell for row in rows for cell in row):
@@ -159,8 +168,12 @@ def print_reports(reports: Sequence[Report]) -> None:
         print("".join(f"{line}\n" for line in _failures(report)), end="")
 
 
-def as_json(reports: Sequence[Report]) -> str:
-    """Return one document, in which errors that are not finite are text."""
+def print_json(reports: Sequence[Report]) -> None:
+    """Print one document, in which errors that are not finite are text."""
+
+    def number(value: float) -> float | str:
+        return value if math.isfinite(value) else str(value)
+
     passed = all(not report.failures for report in reports)
     plugins = [
         {
@@ -170,7 +183,7 @@ def as_json(reports: Sequence[Report]) -> str:
             "cases": len(report.spots),
             "checks": {check: report.state(check) for check in CHECKS},
             "worst": {
-                dtype: {"error": _number(worst.error), "exact": worst.exact, **vars(worst.spot)}
+                dtype: {"error": number(worst.error), "exact": worst.exact, **vars(worst.spot)}
                 for dtype, worst in sorted(report.worst.items())
             },
             "failures": [
@@ -185,27 +198,7 @@ def as_json(reports: Sequence[Report]) -> str:
         }
         for report in reports
     ]
-    return json_text({"passed": passed, "plugins": plugins}, indent=2)
-
-
-def _number(value: float) -> float | str:
-    return value if math.isfinite(value) else str(value)
-
-
-def _row(report: Report) -> tuple[str, ...]:
-    def error(dtype: str) -> str:
-        worst = report.worst.get(dtype)
-        return "n/a" if worst is None else f"{'' if worst.exact else '~'}{worst.error:.1e}"
-
-    return (
-        report.plugin,
-        " ".join(point.rpartition("_")[2] for point in report.hook_points),
-        str(len(report.spots)),
-        *map(report.state, ("value", "gradient")),
-        *map(error, ("float32", "float64")),
-        *map(report.state, ("invariance", "contract")),
-        report.verdict,
-    )
+    print(json_text({"passed": passed, "plugins": plugins}, indent=2))
 
 
 def _failures(report: Report) -> list[str]:

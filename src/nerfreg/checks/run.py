@@ -5,7 +5,6 @@ from __future__ import annotations
 import sys
 from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 
 from omegaconf import OmegaConf
 from rich.console import Console
@@ -17,7 +16,7 @@ from nerfreg.checks.inputs import DTYPES
 from nerfreg.checks.layers import LAYER_CASES, LayerCase, check_layers
 from nerfreg.checks.losses import check_losses
 from nerfreg.checks.photographs import PHOTOGRAPH_CASES, PhotographCase, check_known_depth
-from nerfreg.checks.report import Report, as_json, print_reports
+from nerfreg.checks.report import Report, print_json, print_reports
 from nerfreg.checks.transforms import check_encoder_input, check_needs, check_ray_bounds
 from nerfreg.errors import NerfregError, nearest
 from nerfreg.registry import installed
@@ -37,26 +36,6 @@ CHECKS_OF: dict[type[AnyCase], tuple[tuple[str, str, Callable[..., None]], ...]]
     PhotographCase: (("known_depth", "value", check_known_depth),),
 }
 """What a kind of case is for: the hook, what has failed if the plugin raises, and the check."""
-
-
-@dataclass(frozen=True)
-class Selection:
-    """What is checked of a plugin; None stands for everything.
-
-    Attributes:
-        case: Name of a case.
-        dtype: Name of a precision.
-        samples: Number of samples on a ray.
-    """
-
-    case: str | None = None
-    dtype: str | None = None
-    samples: int | None = None
-
-    def __post_init__(self) -> None:
-        names = [case.name for case in ALL_CASES]
-        if self.case is not None and self.case not in names:
-            raise NerfregError(f"--case {self.case}: {nearest(self.case, names)}")
 
 
 def check_plugin(
@@ -83,33 +62,41 @@ def check_plugin(
     return report
 
 
-def run(words: Sequence[str], selection: Selection, as_document: bool = False) -> int:
+def run(
+    words: Sequence[str],
+    case: str | None = None,
+    dtype: str | None = None,
+    samples: int | None = None,
+    as_document: bool = False,
+) -> int:
     """Check plugins, and print what was found.
 
     Args:
         words: Names of plugins, and overrides `reg.NAME.key=value`. Without a name all plugins and
             the compositor are checked.
-        selection: What is checked of each.
+        case: Name of a case; None: all of them.
+        dtype: Name of a precision; None: all of them.
+        samples: Number of samples on a ray; None: those of each case.
         as_document: Whether to print one JSON document in place of a table.
 
     Returns:
         1 if anything failed, else 0.
 
     Raises:
-        NerfregError: A plugin or key is not known.
+        NerfregError: A plugin, case or key is not known.
     """
-    cases = [case for case in ALL_CASES if selection.case in (None, case.name)]
-    dtypes = tuple(DTYPES) if selection.dtype is None else (selection.dtype,)
-    reports = []
+    cases = [known for known in ALL_CASES if case in (None, known.name)]
+    if not cases:
+        raise NerfregError(f"--case {case}: {nearest(str(case), (c.name for c in ALL_CASES))}")
+    dtypes = tuple(DTYPES) if dtype is None else (dtype,)
     subjects = _subjects([word for word in words if "=" not in word], _overrides(words))
+    reports = []
     with Console(stderr=True).status("checking") as status:
         for subject in subjects:
             status.update(f"checking {subject.name}")
-            reports.append(check_plugin(subject, cases, dtypes, selection.samples))
-    if as_document:
-        print(as_json(reports))
-    else:
-        print_reports(reports)
+            reports.append(check_plugin(subject, cases, dtypes, samples))
+    show = print_json if as_document else print_reports
+    show(reports)
     return 1 if any(report.failures for report in reports) else 0
 
 

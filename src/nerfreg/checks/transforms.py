@@ -7,7 +7,6 @@ from dataclasses import replace
 from functools import cache
 
 import torch
-from jaxtyping import Float
 from torch import Tensor
 from torch.nn import functional
 
@@ -27,7 +26,7 @@ FRACTIONS = (0.0, 0.01, 0.05, 0.5, 1.0, 2.0)
 """Shares of the run at which a step is tried; 2 is beyond its end."""
 
 BACKENDS = ("torch", "numba")
-LEVELS = 4
+POINTS, LEVELS = 256, 4
 GRID_WIDTH = FEATURES * LEVELS
 
 
@@ -83,8 +82,8 @@ def wrong_masks(samples: Samples, backend: str) -> list[str]:
     """Return what features that a plugin masks still do to the outputs and gradients of a field.
 
     Args:
-        samples: As the plugin left them, for `GRID_WIDTH` features of a grid and `WIDTH` of
-            directions.
+        samples: As the plugin left them, for `GRID_WIDTH` features of a grid, `WIDTH` of
+            directions. Where they lie makes no difference.
         backend: How the grid is computed, one of `BACKENDS`.
     """
     grid_alive, color_alive = samples.density_features, samples.color_features
@@ -92,7 +91,7 @@ def wrong_masks(samples: Samples, backend: str) -> list[str]:
         return []
     field = _small_field(backend)
     table, layout = field.grid.table, field.grid.layout
-    points = _in_unit_cube(samples.positions.detach())
+    points = torch.rand(POINTS, 3, generator=torch.Generator().manual_seed(0))
     harmonics = spherical_harmonics(functional.normalize(points - 0.4, dim=1))
     level = torch.arange(LEVELS).repeat_interleave(torch.as_tensor(layout.offsets).diff())
     feature = FEATURES * level[:, None] + torch.arange(FEATURES)
@@ -118,11 +117,6 @@ def wrong_masks(samples: Samples, backend: str) -> list[str]:
         "dead direction features change the colour": not torch.equal(color_after, color),
     }
     return [f"{backend} field: {mistake}" for mistake, made in mistakes.items() if made]
-
-
-def _in_unit_cube(positions: Float[Tensor, "rays samples 3"]) -> Float[Tensor, "points 3"]:
-    low, high = positions.amin((0, 1)), positions.amax((0, 1))
-    return torch.where(high > low, (positions - low) / (high - low), 0.5).reshape(-1, 3).clamp(0, 1)
 
 
 @cache

@@ -6,7 +6,7 @@ import mpmath
 import pytest
 import torch
 
-from nerfreg.checks.exact import relative_error
+from nerfreg.checks.accuracy import relative_error
 
 
 @pytest.mark.parametrize(

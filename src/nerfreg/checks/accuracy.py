@@ -1,8 +1,8 @@
-"""Whether gradients are finite, and whether finite differences give the same ones."""
+"""How far values are from exact ones, and gradients from finite differences."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 from typing import Any
 
@@ -28,13 +28,7 @@ Loss = Callable[[Inputs], tuple[Float[Tensor, ""], list[Tensor]]]
 def not_finite_gradients(
     prefix: str, value: Float[Tensor, "*any"], leaves: Iterable[tuple[str, Tensor]]
 ) -> list[str]:
-    """Return one line for each leaf by which the sum of `value` has a gradient that is not finite.
-
-    Args:
-        prefix: What each line begins with.
-        value: A tensor with a graph, which is kept.
-        leaves: Tensors, each with the name that its line goes on with.
-    """
+    """Return `prefix` and a line for each named leaf by which the sum has no finite gradient."""
     names, tensors = zip(*leaves, strict=True)
     grads = torch.autograd.grad(value.sum(), tensors, retain_graph=True, allow_unused=True)
     found = [(name, grad) for name, grad in zip(names, grads, strict=True) if grad is not None]
@@ -44,10 +38,11 @@ def not_finite_gradients(
 def wrong_gradient(loss: Loss, inputs: Inputs) -> list[str]:
     """Compare derivatives by autograd with central differences, in float64.
 
+    Directions are random: a relative change of all densities, and a change of all colours.
+
     Args:
         loss: What is differentiated. What it detaches is held constant.
-        inputs: Where, along random directions: a relative change of all densities, and one of all
-            colours.
+        inputs: Where it is differentiated.
 
     Returns:
         One line about the first direction in which the two disagree, if there is one.
@@ -76,6 +71,46 @@ def wrong_gradient(loss: Loss, inputs: Inputs) -> list[str]:
             both = f"{by_autograd:.6g} by autograd, {by_differences:.6g} by finite differences"
             return [f"derivative is {both}"]
     return []
+
+
+def relative_error(values: Any, truth: Any, dtype: str) -> float:
+    """Return the largest error of values relative to exact ones.
+
+    Where the exact value is below the smallest normal number of `dtype`, a value must be so too;
+    the error counts as 0 then, else as infinite.
+
+    Args:
+        values: A tensor, a number or nested lists.
+        truth: Exact values in the same structure.
+        dtype: "float32" or "float64".
+
+    Returns:
+        The error, NaN if any value is.
+
+    Raises:
+        ValueError: There are more or fewer values than exact ones.
+    """
+    numbers, true = list(_flat(values)), list(_flat(truth))
+    if len(numbers) != len(true):
+        raise ValueError(f"{len(numbers)} values, but {len(true)} exact ones")
+    # Rounding the truth to float64 costs 1e-16 of it.
+    found, exact_values = torch.tensor([numbers, true], dtype=torch.float64)
+    tiny = torch.finfo(getattr(torch, dtype)).tiny
+    nothing = torch.where(found.abs() <= tiny, 0.0, torch.inf)
+    normal = exact_values.abs() >= tiny
+    errors = torch.where(normal, (found - exact_values).abs() / exact_values.abs(), nothing)
+    errors = torch.where(found.isnan(), torch.nan, errors)
+    return float(errors.max()) if len(errors) else 0.0
+
+
+def _flat(values: Any) -> Iterator[float]:
+    if isinstance(values, Tensor):
+        yield from values.detach().double().flatten().tolist()
+    elif isinstance(values, list | tuple):
+        for value in values:
+            yield from _flat(value)
+    else:
+        yield float(values)
 
 
 class _Detached(TorchFunctionMode):
