@@ -4,7 +4,9 @@ import json
 import math
 
 import torch
+from omegaconf import OmegaConf
 
+from nerfreg.checks.driver import Subject
 from nerfreg.checks.report import COLUMNS, Report, Spot, print_json, print_reports
 
 WALL = Spot("wall_first", "float32", 48)
@@ -14,8 +16,12 @@ REPRODUCTION = (
 FOG = Spot("fog", "float64", 2)
 
 
+def suspect(*hook_points: str) -> Subject:
+    return Subject("suspect", hook_points, OmegaConf.create(), ("reg.suspect.power=2",))
+
+
 def made() -> Report:
-    report = Report("suspect", ("ray_bounds", "loss"), ("reg.suspect.power=2",))
+    report = Report(suspect("ray_bounds", "loss"))
     with report.at(FOG, "value"):
         report.judge("value", [])
     with report.at(WALL, "value"):
@@ -36,7 +42,7 @@ def test_states():
         "FAIL",
     ]
     assert report.verdict == "FAIL"
-    assert Report("idle").verdict == "n/a"
+    assert Report(suspect()).verdict == "n/a"
     assert len(report.spots) == 2
 
 
@@ -76,7 +82,7 @@ def test_table_in_plain_text(capsys):
 
 
 def test_table_shows_five_different_failures(capsys):
-    report = Report("suspect")
+    report = Report(suspect())
     report.spot = WALL
     report.judge("value", [f"mistake {i}" for i in range(7)])
     print_reports([report])

@@ -22,7 +22,8 @@ FEW_RAYS = 256
 """From so many samples on, a patch has 2 x 2 pixels and not 4 x 4: exact values take long."""
 
 NEAR, FAR = 2.0, 6.0
-ABOVE, BELOW = MIN_OPACITY * (1 + 1e-3), MIN_OPACITY * (1 - 1e-3)
+ABOVE, BELOW = (-math.log1p(-MIN_OPACITY * (1 + part)) for part in (1e-3, -1e-3))
+"""Optical thickness just above and below that of an empty ray."""
 
 
 @dataclass(frozen=True)
@@ -56,9 +57,6 @@ class _Draw:
 
     def total(self, thickness: float) -> Tensor:
         return self.split(thickness) * self.own()
-
-    def opaque(self, opacity: float) -> Tensor:
-        return self.split(-math.log1p(-opacity))
 
     def walls(self, *walls: tuple[float, float]) -> Tensor:
         # Each wall has a place from 0 (first sample) to 1 (last), and a thickness.
@@ -251,6 +249,6 @@ CASES = (
     Case("nearly_identical", "neighbouring rays differ by 1e-6", lambda d: d.alike(1e-6)),
     Case("missing_depth", "patches with empty rays in them, on white", _Draw.holes, white=True),
     Case("alternating", "full and empty intervals in turn", _Draw.striped),
-    Case("just_visible", "opacity just above that of an empty ray", lambda d: d.opaque(ABOVE)),
-    Case("just_empty", "opacity just below that of a visible ray", lambda d: d.opaque(BELOW)),
+    Case("just_visible", "opacity just above that of an empty ray", lambda d: d.split(ABOVE)),
+    Case("just_empty", "opacity just below that of a visible ray", lambda d: d.split(BELOW)),
 )

@@ -7,7 +7,6 @@ from torch import Tensor
 
 from nerfreg.checks.accuracy import not_finite_gradients, wrong_gradient
 from nerfreg.checks.cases import Case
-from nerfreg.checks.driver import Subject
 from nerfreg.checks.inputs import Inputs
 from nerfreg.checks.report import Report
 from nerfreg.numerics import not_finite
@@ -17,7 +16,7 @@ from nerfreg.rendering.reference import PARTS, composite_exactly
 LIMITS = {"float32": 2e-5, "float64": 1e-11}
 
 
-def check_compositing(report: Report, _: Subject, case: Case, inputs: Inputs) -> None:
+def check_compositing(report: Report, case: Case, inputs: Inputs) -> None:
     """Check that all parts and their gradients are finite, and the parts close to exact ones."""
     parts, leaves = _composite(inputs)
     wrong = [line for name, part in parts.items() for line in not_finite(name, part)]
@@ -47,10 +46,6 @@ def _mean(inputs: Inputs) -> tuple[Tensor, list[Tensor]]:
     """One number from all parts, depth in units of the scene."""
     parts, leaves = _composite(inputs)
     near, far = inputs.bounds
-    numbers = (
-        parts["weights"].square(),
-        parts["log_transmittance"],
-        parts["depth"] / (far - near),
-        parts["rgb"],
-    )
+    squares, depth = parts["weights"].square(), parts["depth"] / (far - near)
+    numbers = squares, parts["log_transmittance"], depth, parts["rgb"]
     return torch.stack([part.mean() for part in numbers]).sum(), leaves

@@ -104,14 +104,8 @@ class Driver:
 
     def step(self, fraction: float = 0.5) -> Step:
         """Return the step at this share of a run, with randomness that begins anew."""
-        return Step(
-            index=round(fraction * STEPS),
-            total=STEPS,
-            fraction=min(fraction, 1.0),
-            generator=torch.Generator().manual_seed(0),
-            bounds=self.inputs.bounds,
-            renderer=self,
-        )
+        index, generator = round(fraction * STEPS), torch.Generator().manual_seed(0)
+        return Step(index, STEPS, min(fraction, 1.0), generator, self.inputs.bounds, self)
 
     def samples(self) -> Samples:
         """Return what the hooks get for the rays of the case."""

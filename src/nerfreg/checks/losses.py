@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from functools import partial
-from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -22,48 +22,34 @@ SCALE = 2.0**10
 """A power of two, so that scaling rounds nothing."""
 
 
-class Loss(NamedTuple):
-    """The terms of a plugin's loss by name, what it edited, and whether it drew random numbers."""
-
-    driver: Driver
-    terms: dict[str, Tensor]
-    edits: list[str]
-    random: bool
-
-
-def evaluate(subject: Subject, inputs: Inputs) -> Loss:
-    """Render rays, and call the plugin's loss."""
-    driver = Driver(subject, inputs)
+def check_losses(report: Report, case: Case, inputs: Inputs) -> None:
+    """Check all that can be said of the loss of one batch, in the precision of the inputs."""
+    driver, spot = Driver(report.subject, inputs), report.spot
     step, watch = driver.step(), Untouched(driver.rendering)
     before, terms = step.generator.get_state(), driver.terms(step)
     driver.keep_contract(step)
-    random = not torch.equal(before, step.generator.get_state())
-    return Loss(driver, terms, watch.edits(), random)
-
-
-def check_losses(report: Report, subject: Subject, case: Case, inputs: Inputs) -> None:
-    """Check all that can be said of the loss of one batch, in the precision of the inputs."""
-    loss = evaluate(subject, inputs)
-    wrong = loss.edits + wrong_terms(loss.terms)
+    wrong = watch.edits() + wrong_terms(terms)
     report.judge("value", wrong)
-    if loss.driver.broken:
-        report.judge("contract", loss.driver.broken_promises())
+    if driver.broken:
+        report.judge("contract", driver.broken_promises())
     if wrong:
         return
-    trained = {name: value for name, value in loss.terms.items() if value.requires_grad}
+    trained = {name: value for name, value in terms.items() if value.requires_grad}
     wrong = [
         line
         for name, value in trained.items()
-        for line in not_finite_gradients(f"gradient of '{name}' by ", value, loss.driver.leaves)
+        for line in not_finite_gradients(f"gradient of '{name}' by ", value, driver.leaves)
     ]
     report.judge("gradient", wrong)
-    if report.spot.dtype in LIMITS:
-        _compare(report, subject, loss)
-        if report.spot.samples == SIZES[-1] and not loss.random:
-            report.judge("invariance", _variances(subject, loss, report.spot.dtype))
-    if case.differentiable(report.spot):
+    if spot.dtype in LIMITS:
+        _compare(report, driver, terms)
+        # A loss that draws random numbers draws others for another batch.
+        drawn = not torch.equal(before, step.generator.get_state())
+        if spot.samples == SIZES[-1] and not drawn:
+            report.judge("invariance", _variances(driver, terms, spot.dtype))
+    if case.differentiable(spot):
         for name in trained:
-            lines = wrong_gradient(partial(_term, subject, name), inputs)
+            lines = wrong_gradient(partial(_term, driver.subject, name), inputs)
             report.judge("gradient", [f"term '{name}': {line}" for line in lines])
 
 
@@ -72,35 +58,35 @@ def _term(subject: Subject, name: str, inputs: Inputs) -> tuple[Tensor, list[Ten
     return driver.terms(driver.step())[name], [driver.density, driver.colors]
 
 
-def _compare(report: Report, subject: Subject, loss: Loss) -> None:
+def _compare(report: Report, driver: Driver, terms: Mapping[str, Tensor]) -> None:
     """With exact values, or with the plugin's own of the same rendering cast to float64."""
-    truth = loss.driver.reference(loss.driver.rendering)
-    for name in loss.terms:
+    truth = driver.reference(driver.rendering)
+    for name in terms:
         if name in truth:
-            report.compare(f"term '{name}'", loss.terms[name], truth[name])
-    unknown = [name for name in loss.terms if name not in truth]
+            report.compare(f"term '{name}'", terms[name], truth[name])
+    unknown = [name for name in terms if name not in truth]
     if unknown and report.spot.dtype == "float32":
-        driver = Driver(subject, cast(loss.driver.inputs, torch.float64))
-        rendering = cast(loss.driver.rendering, torch.float64)
-        own = driver.terms(driver.step(), rendering)
+        double = Driver(driver.subject, cast(driver.inputs, torch.float64))
+        own = double.terms(double.step(), cast(driver.rendering, torch.float64))
         for name in unknown:
             if name in own and abs(own[name].item()) > OWN_FLOOR:
-                report.compare_own(f"term '{name}'", loss.terms[name], own[name])
+                report.compare_own(f"term '{name}'", terms[name], own[name])
 
 
-def _variances(subject: Subject, loss: Loss, dtype: str) -> list[str]:
+def _variances(driver: Driver, terms: Mapping[str, Tensor], dtype: str) -> list[str]:
     """Changes of the batch that must not change the loss, and do."""
-    inputs = loss.driver.inputs
+    inputs, subject = driver.inputs, driver.subject
     changes = {
         "the order of the rays": inputs.permuted(torch.Generator().manual_seed(2)),
         "twice the same rays": inputs.repeated(2),
     }
-    if loss.driver.hooks.plugins[subject.name].scale_free:
+    if driver.hooks.plugins[subject.name].scale_free:
         changes["a scene 1024 times as large"] = inputs.scaled(SCALE)
     wrong = []
     for change, changed in changes.items():
-        after = evaluate(subject, changed).terms
-        for name, value in loss.terms.items():
+        again = Driver(subject, changed)
+        after = again.terms(again.step())
+        for name, value in terms.items():
             if not relative_error(after[name], value, dtype) <= LIMITS[dtype]:
                 values = f"{value.item():.7g} became {after[name].item():.7g}"
                 wrong.append(f"term '{name}' depends on {change}: {values}")

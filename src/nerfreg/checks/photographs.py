@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import torch
 
-from nerfreg.checks.driver import Subject
 from nerfreg.checks.report import Report, Spot
 from nerfreg.scenes.cameras import Cameras
 from nerfreg.scenes.scene import Photographs
@@ -74,12 +73,10 @@ PHOTOGRAPH_CASES = (
 )
 
 
-def check_known_depth(
-    report: Report, subject: Subject, _: PhotographCase, photographs: Photographs
-) -> None:
+def check_known_depth(report: Report, _: PhotographCase, photographs: Photographs) -> None:
     """Check that what is known are intervals in order before the camera, or NaN."""
     watch = Untouched(photographs)
     # Shape and order are refused by the hooks themselves.
-    known = subject.hooks().known_depth(photographs)
+    known = report.subject.hooks().known_depth(photographs)
     report.judge("contract", watch.edits())
     report.judge("value", [] if known is None else wrong_known_depth(known))

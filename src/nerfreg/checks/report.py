@@ -11,6 +11,7 @@ from typing import Any
 from torch import Tensor
 
 from nerfreg.checks.accuracy import relative_error
+from nerfreg.checks.driver import Subject
 from nerfreg.files import json_text
 
 CHECKS = ("value", "gradient", "error", "invariance", "contract")
@@ -60,9 +61,7 @@ class Report:
     """All about one plugin.
 
     Attributes:
-        plugin: Its name.
-        hook_points: The hooks by which it takes part in a run.
-        overrides: Those of its configuration, as given on the command line.
+        subject: The plugin.
         spot: Where the checks stand now.
         spots: Where it was checked.
         checked: Which of `CHECKS` applied to it.
@@ -70,9 +69,7 @@ class Report:
         worst: The largest error in float32 and float64.
     """
 
-    plugin: str
-    hook_points: tuple[str, ...] = ()
-    overrides: tuple[str, ...] = ()
+    subject: Subject
     spot: Spot = Spot("", "")
     spots: set[Spot] = field(default_factory=set)
     checked: set[str] = field(default_factory=set)
@@ -137,12 +134,12 @@ class Report:
         """Return the command line that shows a failure again."""
         samples = "" if spot.samples is None else f" --samples {spot.samples}"
         where = f"--case {spot.case} --dtype {spot.dtype}{samples}"
-        return " ".join(["nerfreg check", self.plugin, where, *self.overrides])
+        return " ".join(["nerfreg check", self.subject.name, where, *self.subject.overrides])
 
 
 COLUMNS: dict[str, Callable[[Report], str]] = {
-    "plugin": lambda report: report.plugin,
-    "hooks": lambda report: " ".join(hook.rpartition("_")[2] for hook in report.hook_points),
+    "plugin": lambda report: report.subject.name,
+    "hooks": lambda report: " ".join(x.rpartition("_")[2] for x in report.subject.hook_points),
     "cases": lambda report: str(len(report.spots)),
     "value": lambda report: report.state("value"),
     "grad": lambda report: report.state("gradient"),
@@ -177,8 +174,8 @@ def print_json(reports: Sequence[Report]) -> None:
     passed = all(not report.failures for report in reports)
     plugins = [
         {
-            "name": report.plugin,
-            "hook_points": report.hook_points,
+            "name": report.subject.name,
+            "hook_points": report.subject.hook_points,
             "verdict": report.verdict,
             "cases": len(report.spots),
             "checks": {check: report.state(check) for check in CHECKS},
@@ -203,17 +200,17 @@ def print_json(reports: Sequence[Report]) -> None:
 
 def _failures(report: Report) -> list[str]:
     """Each different failure once, by the first spot where it was found."""
-    spots: dict[str, list[Spot]] = {}
+    name, spots = report.subject.name, dict[str, list[Spot]]()
     for failure in report.failures:
         spots.setdefault(f"{failure.check}: {failure.message}", []).append(failure.spot)
     lines = []
     for message, [first, *more] in list(spots.items())[:SHOWN]:
-        lines += ["", f"{report.plugin}: {message}", f"    {report.reproduction(first)}"]
+        lines += ["", f"{name}: {message}", f"    {report.reproduction(first)}"]
         if more:
             lines.append(f"    and {len(more)} times more, {_cases(more)}")
     if rest := list(spots.values())[SHOWN:]:
         cases = _cases(spot for found in rest for spot in found)
-        lines += ["", f"{report.plugin}: {len(rest)} other failures, {cases}"]
+        lines += ["", f"{name}: {len(rest)} other failures, {cases}"]
     return lines
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections import defaultdict
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 
 from omegaconf import OmegaConf
 from rich.console import Console
@@ -52,13 +52,13 @@ def check_plugin(
         dtypes: Names of precisions.
         samples: Number of samples on a ray, in place of those of each case.
     """
-    report = Report(subject.name, subject.hook_points, subject.overrides)
+    report = Report(subject)
     points = ((case, *point) for case in cases for point in case.points(dtypes, samples))
     for case, spot, given in points:
         for hook, failing, check in CHECKS_OF[type(case)]:
             if hook in subject.hook_points:
                 with report.at(spot, failing):
-                    check(report, subject, case, given)
+                    check(report, case, given)
     return report
 
 
@@ -89,8 +89,7 @@ def run(
     if not cases:
         raise NerfregError(f"--case {case}: {nearest(str(case), (c.name for c in ALL_CASES))}")
     dtypes = tuple(DTYPES) if dtype is None else (dtype,)
-    subjects = _subjects([word for word in words if "=" not in word], _overrides(words))
-    reports = []
+    subjects, reports = _subjects(words), []
     with Console(stderr=True).status("checking") as status:
         for subject in subjects:
             status.update(f"checking {subject.name}")
@@ -100,39 +99,38 @@ def run(
     return 1 if any(report.failures for report in reports) else 0
 
 
-def _overrides(words: Sequence[str]) -> dict[str, list[str]]:
-    """By plugin."""
-    overrides = defaultdict(list)
-    for word in words:
-        name, equals, _ = word.partition("=")
-        if equals and not (name.startswith("reg.") and name.count(".") == 2):
-            raise NerfregError(f"'{word}' is no plugin and no override; write reg.NAME.key=value")
-        if equals:
-            overrides[name.split(".")[1]].append(word)
-    return overrides
-
-
-def _subjects(plugins: Sequence[str], overrides: Mapping[str, Sequence[str]]) -> list[Subject]:
+def _subjects(words: Sequence[str]) -> list[Subject]:
     """What to check; broken plugins are an error if they were named, else a warning."""
+    names, overrides = [word for word in words if "=" not in word], _overrides(words)
     found = {plugin.name: plugin for plugin in installed()}
     known = (*found, COMPOSITOR.name)
-    for name in (*plugins, *overrides):
+    for name in (*names, *overrides):
         if name not in known:
             raise NerfregError(f"unknown plugin '{name}'; {nearest(name, known)}")
-        if plugins and name not in plugins:
+        if names and name not in names:
             raise NerfregError(f"{overrides[name][0]}: plugin '{name}' is not checked; name it too")
-    subjects = [COMPOSITOR] if not plugins or COMPOSITOR.name in plugins else []
-    for name, plugin in found.items():
+    subjects = [COMPOSITOR] if COMPOSITOR.name in (names or known) else []
+    for name in (name for name in found if name in (names or known)):
+        plugin = found[name]
         broken = f"plugin '{name}' of package {plugin.package}: {plugin.error}"
-        if plugins and name not in plugins:
-            continue
         if plugin.cls is not None:
             subjects.append(Subject.of(plugin, overrides.get(name, ())))
-        elif plugins:
+        elif names:
             raise NerfregError(broken)
         else:
             print(f"nerfreg: warning: left out {broken}", file=sys.stderr)
     return subjects
+
+
+def _overrides(words: Sequence[str]) -> dict[str, list[str]]:
+    """By plugin."""
+    overrides = defaultdict(list)
+    for word in (word for word in words if "=" in word):
+        parts = word.partition("=")[0].split(".")
+        if len(parts) != 3 or parts[0] != "reg":
+            raise NerfregError(f"'{word}' is no plugin and no override; write reg.NAME.key=value")
+        overrides[parts[1]].append(word)
+    return overrides
 
 
 def listing() -> str:

@@ -11,7 +11,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from nerfreg.checks.cases import SIZES, Case
-from nerfreg.checks.driver import Driver, Subject
+from nerfreg.checks.driver import Driver
 from nerfreg.checks.inputs import Inputs
 from nerfreg.checks.report import Report
 from nerfreg.field import FieldConfig
@@ -30,18 +30,18 @@ POINTS, LEVELS = 256, 4
 GRID_WIDTH = FEATURES * LEVELS
 
 
-def check_needs(report: Report, subject: Subject, _: Case, inputs: Inputs) -> None:
+def check_needs(report: Report, _: Case, inputs: Inputs) -> None:
     """Check that the plugin asks for what the core can render."""
     if report.spots:  # which rays there are makes no difference: once is enough
         return
-    driver = Driver(subject, inputs)
+    driver = Driver(report.subject, inputs)
     found = {at: wrong_needs(driver.hooks.needs(driver.step(at))) for at in FRACTIONS}
     report.judge("contract", [line for at in found for line in _at(at, found[at])])
 
 
-def check_ray_bounds(report: Report, subject: Subject, _: Case, inputs: Inputs) -> None:
+def check_ray_bounds(report: Report, _: Case, inputs: Inputs) -> None:
     """Check that near and far are finite, in order, and the exact ones where those are known."""
-    driver = Driver(subject, inputs)
+    driver = Driver(report.subject, inputs)
     rays, wrong = inputs.rays, []
     for at in FRACTIONS:
         step, watch = driver.step(at), Untouched(rays)
@@ -56,9 +56,9 @@ def check_ray_bounds(report: Report, subject: Subject, _: Case, inputs: Inputs) 
     report.judge("contract", wrong + driver.broken_promises())
 
 
-def check_encoder_input(report: Report, subject: Subject, _: Case, inputs: Inputs) -> None:
+def check_encoder_input(report: Report, _: Case, inputs: Inputs) -> None:
     """Check that samples stay finite, and that masked features have no influence on a field."""
-    driver, spot, wrong = Driver(subject, inputs), report.spot, []
+    driver, spot, wrong = Driver(report.subject, inputs), report.spot, []
     for at in FRACTIONS:
         before = replace(driver.samples(), density_width=GRID_WIDTH, color_width=WIDTH)
         step, watch = driver.step(at), Untouched(before)
