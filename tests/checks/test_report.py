@@ -29,8 +29,8 @@ def made() -> Report:
         report.compare_own("term", torch.tensor(math.nan), torch.tensor(1.0))
     with report.at(FOG, "value"):
         report.judge("value", ["not finite"])
-        report.compare("term", torch.tensor(1 + 2**-40, dtype=torch.float64), 1.0)
-        report.compare("term", torch.tensor(1 + 2**-43, dtype=torch.float64), 1.0)
+        report.compare({"term": torch.tensor(1 + 2**-40, dtype=torch.float64)}, {"term": 1.0})
+        report.compare({"term": torch.tensor(1 + 2**-43, dtype=torch.float64)}, {"term": 1.0})
     return report
 
 

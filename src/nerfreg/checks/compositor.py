@@ -29,8 +29,7 @@ def check_compositing(report: Report, case: Case, inputs: Inputs) -> None:
     if report.spot.dtype in LIMITS:
         background = inputs.rays.background
         truth = composite_exactly(inputs.density, inputs.colors, inputs.t_edges, background)
-        for name, part in parts.items():
-            report.compare(name, part, truth[name], LIMITS)
+        report.compare(parts, truth, limits=LIMITS)
     if case.differentiable(report.spot):
         report.judge("gradient", wrong_gradient(_mean, inputs))
 

@@ -29,14 +29,16 @@ Part = TypeVar("Part")
 
 def with_tensors(part: Part, change: Callable[[str, Tensor], Tensor]) -> Part:
     """Copy a dataclass and those inside it, with every tensor changed, given its field's name."""
+    given: Any = part  # no type says that it is a dataclass
     changed: dict[str, Any] = {}
-    for field in fields(part):  # type: ignore[arg-type]
-        value = getattr(part, field.name)
+    for name in (field.name for field in fields(given)):
+        value = getattr(given, name)
         if isinstance(value, Tensor):
-            changed[field.name] = change(field.name, value)
+            changed[name] = change(name, value)
         elif is_dataclass(value):
-            changed[field.name] = with_tensors(value, change)
-    return replace(part, **changed)  # type: ignore[type-var]
+            changed[name] = with_tensors(value, change)
+    copy: Part = replace(given, **changed)
+    return copy
 
 
 def cast(part: Part, dtype: torch.dtype) -> Part:

@@ -78,10 +78,8 @@ def _check_layer(report: Report, driver: Driver, name: str, layer: nn.Module, wi
     alike = torch.allclose(output.detach(), expected, rtol=1e-5, atol=1e-6, equal_nan=True)
     unlike = f"{name}: its output is not that of its effective weight and bias"
     report.judge("contract", [] if alike else [unlike])
-    truth = driver.reference(layer)
-    for part, values in zip(("weight", "bias"), affine, strict=True):
-        if part in truth and values is not None:
-            report.compare(f"{part} of {name}", values, truth[part])
+    parts = dict(zip(("weight", "bias"), affine, strict=True))
+    report.compare(parts, driver.reference(layer), f"{{}} of {name}")
 
 
 @torch.no_grad()

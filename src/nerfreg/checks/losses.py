@@ -61,9 +61,7 @@ def _term(subject: Subject, name: str, inputs: Inputs) -> tuple[Tensor, list[Ten
 def _compare(report: Report, driver: Driver, terms: Mapping[str, Tensor]) -> None:
     """With exact values, or with the plugin's own of the same rendering cast to float64."""
     truth = driver.reference(driver.rendering)
-    for name in terms:
-        if name in truth:
-            report.compare(f"term '{name}'", terms[name], truth[name])
+    report.compare(terms, truth, "term '{}'")
     unknown = [name for name in terms if name not in truth]
     if unknown and report.spot.dtype == "float32":
         double = Driver(driver.subject, cast(driver.inputs, torch.float64))

@@ -92,13 +92,20 @@ class Report:
         self.failures += [Failure(self.spot, check, line) for line in wrong]
 
     def compare(
-        self, what: str, values: Any, truth: Any, limits: Mapping[str, float] = LIMITS
+        self,
+        values: Mapping[str, Any],
+        truth: Mapping[str, Any],
+        label: str = "{}",
+        limits: Mapping[str, float] = LIMITS,
     ) -> None:
-        """Compare values with exact ones in nested lists, in precisions that have a limit."""
-        if limit := limits.get(self.spot.dtype):
-            error = self._error_of(values, truth, exact=True)
-            message = f"relative error {error:.2g} against the exact value, limit {limit:g}"
-            self.judge("error", [] if error <= limit else [f"{what}: {message}"])
+        """Compare the values that have an exact one with it, in precisions that have a limit."""
+        limit = limits.get(self.spot.dtype, 0.0)
+        for name in values if limit else ():
+            if name in truth and values[name] is not None:
+                error = self._error_of(values[name], truth[name], exact=True)
+                against = f"against the exact value, limit {limit:g}"
+                line = f"{label.format(name)}: relative error {error:.2g} {against}"
+                self.judge("error", [] if error <= limit else [line])
 
     def compare_own(self, what: str, value: Tensor, own: Tensor) -> None:
         """Compare a value with the one that the plugin itself computes in float64."""
