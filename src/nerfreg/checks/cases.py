@@ -28,14 +28,9 @@ ABOVE, BELOW = (-math.log1p(-MIN_OPACITY * (1 + part)) for part in (1e-3, -1e-3)
 
 @dataclass(frozen=True)
 class _Draw:
-    """What may lie along rays, in float64: optical thickness (R, N), and N+1 borders.
+    """What may lie along R rays: thickness of N intervals, (R, N), and their borders, (N+1)."""
 
-    Attributes:
-        side: (R,) place of each ray on the chequerboard of its patch, 0 or 1.
-        samples: Number N of intervals.
-        generator: Source of randomness.
-    """
-
+    # The place of each ray on the chequerboard of its patch, 0 or 1.
     side: Int[Tensor, " rays"]
     samples: int
     generator: torch.Generator

@@ -80,7 +80,7 @@ def wrong_masks(samples: Samples, backend: str) -> list[str]:
     """Return what features that a plugin masks still do to the outputs and gradients of a field.
 
     Args:
-        samples: As the plugin left them, for `GRID_WIDTH` features of a grid, `WIDTH` of
+        samples: As the plugin left them, for `GRID_WIDTH` features of a grid and `WIDTH` of
             directions. Where they lie makes no difference.
         backend: How the grid is computed, one of `BACKENDS`.
     """
