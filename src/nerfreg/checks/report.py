@@ -114,7 +114,7 @@ class Report:
             message = f"{error:.2g} off its own value in float64, limit {OWN_LIMIT:g}"
             self.judge("error", [f"{what}: {message}"])
 
-    def _error_of(self, values: Tensor, truth: Any, exact: bool) -> float:
+    def _error_of(self, values: Any, truth: Any, exact: bool) -> float:
         dtype = self.spot.dtype
         error, old = relative_error(values, truth, dtype), self.worst.get(dtype)
         if old is None or math.isnan(error) or error > old.error:
