@@ -186,8 +186,8 @@ class Hooks:
     def needs(self, step: Step) -> Needs:
         """The union of what the active plugins want rendered."""
         union = Needs()
-        if active := self._active("nerfreg_needs", step):
-            for needs in self._manager(active).hook.nerfreg_needs(step=step):
+        for name in self._active("nerfreg_needs", step):
+            for needs in self._ask("nerfreg_needs", (name,), {"step": step}):
                 union |= needs
         return union
 
@@ -198,13 +198,14 @@ class Hooks:
         users = self._users["nerfreg_layer"]
         if not users:
             return self._core.nerfreg_layer(in_features, out_features, activation)
-        layer: nn.Module = self._manager(users).hook.nerfreg_layer(
-            network=network,
-            index=index,
-            in_features=in_features,
-            out_features=out_features,
-            activation=activation,
-        )
+        given = {
+            "network": network,
+            "index": index,
+            "in_features": in_features,
+            "out_features": out_features,
+            "activation": activation,
+        }
+        layer: nn.Module = self._ask("nerfreg_layer", users, given)
         return layer
 
     @property
@@ -219,7 +220,7 @@ class Hooks:
         """
         known: dict[str, Tensor] = {}
         for name in self.depth_tellers:
-            for depth in self._manager((name,)).hook.nerfreg_known_depth(photographs=photographs):
+            for depth in self._ask("nerfreg_known_depth", (name,), {"photographs": photographs}):
                 known[name] = depth
         if len(known) > 1:
             raise NerfregError(
@@ -242,19 +243,16 @@ class Hooks:
         active = self._active("nerfreg_ray_bounds", step)
         if not active:
             return rays.near, rays.far
-        bounds: tuple[Tensor, Tensor] = self._manager(active).hook.nerfreg_ray_bounds(
-            rays=rays, step=step
-        )
-        return bounds
+        near, far = self._ask("nerfreg_ray_bounds", active, {"rays": rays, "step": step})
+        return near, far
 
     def encoder_input(self, samples: Samples, step: Step) -> Samples:
         """What the encoders shall see instead of `samples`."""
         active = self._active("nerfreg_encoder_input", step)
         if not active:
             return samples
-        changed: Samples = self._manager(active).hook.nerfreg_encoder_input(
-            samples=samples, step=step
-        )
+        given = {"samples": samples, "step": step}
+        changed: Samples = self._ask("nerfreg_encoder_input", active, given)
         return changed
 
     def losses(self, rendering: Rendering, step: Step) -> list[Term]:
@@ -262,7 +260,8 @@ class Hooks:
         terms = []
         for name in self._active("nerfreg_loss", step):
             # One plugin at a time, because the answer does not say whose it is.
-            for values in self._manager((name,)).hook.nerfreg_loss(rendering=rendering, step=step):
+            given = {"rendering": rendering, "step": step}
+            for values in self._ask("nerfreg_loss", (name,), given):
                 for term, value in values.items():
                     if value.ndim != 0:
                         shape = tuple(value.shape)
@@ -277,13 +276,26 @@ class Hooks:
     ) -> dict[str, Any]:
         """The exact values that plugin `name` ships for what it makes of `given`; empty if it ships none."""
         with mpmath.workdps(REFERENCE_DIGITS):
-            answers = self._manager((name,)).hook.nerfreg_reference(given=given, step=step)
+            answers = self._ask("nerfreg_reference", (name,), {"given": given, "step": step})
         return {key: value for answer in answers for key, value in answer.items()}
 
     def contract(self, name: str, step: Step) -> dict[str, float]:
         """By how much plugin `name` breaks each promise it makes of itself."""
-        answers = self._manager((name,)).hook.nerfreg_contract(step=step)
+        answers = self._ask("nerfreg_contract", (name,), {"step": step})
         return {key: value for answer in answers for key, value in answer.items()}
+
+    def _ask(self, hook: str, plugins: tuple[str, ...], given: dict[str, Any]) -> Any:
+        """Call a hook of these plugins: the one way to them, for a subclass that looks at answers.
+
+        Args:
+            hook: Name of the hook.
+            plugins: Names of those that take part in the call.
+            given: What the hook gets, by the names of its arguments.
+
+        Returns:
+            What pluggy returns: a list of answers, or one where the hook has a single result.
+        """
+        return getattr(self._manager(plugins).hook, hook)(**given)
 
     def _active(self, hook: str, step: Step) -> tuple[str, ...]:
         users = self._users[hook]

@@ -7,11 +7,11 @@ from collections.abc import Callable
 import pytest
 
 from nerfreg import Regularizer
-from nerfreg.checks.subject import Subject, make_subject
+from nerfreg.checks.driver import Subject
 from nerfreg.registry import PluginInfo
 
 
 @pytest.fixture
 def subject() -> Callable[[type[Regularizer]], Subject]:
     """A plugin under check, named "suspect"."""
-    return lambda cls: make_subject(PluginInfo("suspect", "tests", "0", cls))
+    return lambda cls: Subject.of(PluginInfo("suspect", "tests", "0", cls))

@@ -3,8 +3,8 @@ from __future__ import annotations
 import pytest
 import torch
 
-from nerfreg.checks.cases import CASES, MANY
-from nerfreg.checks.inputs import Inputs
+from nerfreg.checks.cases import CASES, LARGE
+from nerfreg.checks.inputs import DTYPES, Inputs, cast
 from nerfreg.rendering.compositing import integrate
 
 BY_NAME = {case.name: case for case in CASES}
@@ -15,7 +15,7 @@ def tau(inputs: Inputs) -> torch.Tensor:
 
 
 @pytest.mark.parametrize("case", CASES, ids=lambda case: case.name)
-@pytest.mark.parametrize("samples", [1, 2, 48, MANY])
+@pytest.mark.parametrize("samples", LARGE)
 def test_is_a_valid_batch_and_always_the_same(case, samples):
     inputs, again = case.build(samples), case.build(samples)
     rays, count = inputs.rays, len(inputs.rays)
@@ -66,7 +66,7 @@ def test_weights_underflow_in_float32_but_not_in_float64():
     inputs = BY_NAME["underflow"].build(48)
     behind = int(0.6 * 47)
     double = integrate(inputs.density, inputs.t_edges).weights[:, behind]
-    single = inputs.to(torch.float32)
+    single = cast(inputs, torch.float32)
     assert (double > 0).all()
     assert (integrate(single.density, single.t_edges).weights[:, behind] == 0).all()
 
@@ -81,7 +81,7 @@ def test_neighbours_that_disagree_have_no_interval_in_common():
 @pytest.mark.parametrize(("name", "visible"), [("just_visible", True), ("just_empty", False)])
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64], ids=str)
 def test_both_sides_of_the_smallest_opacity(name, visible, dtype):
-    inputs = BY_NAME[name].build(48).to(dtype)
+    inputs = cast(BY_NAME[name].build(48), dtype)
     opacity = integrate(inputs.density, inputs.t_edges).opacity
     assert ((opacity >= 1e-4) == visible).all()
     assert ((opacity - 1e-4).abs() < 2e-7).all()
@@ -100,3 +100,20 @@ def test_patches_with_missing_depth():
     empty = (tau(inputs).sum(1) == 0)[inputs.rays.patches]
     assert empty.any()
     assert not empty.all()
+
+
+def test_precisions_that_cannot_express_a_case_are_left_out():
+    """float16 ends at 65504, below the distances of a scene of 1e6."""
+    tried = {
+        name: [spot.dtype for spot, _ in BY_NAME[name].points([*DTYPES], 48)] for name in BY_NAME
+    }
+    assert tried["fog"] == [*DTYPES]
+    assert tried["huge_scale"] == ["float32", "float64", "bfloat16"]
+
+
+def test_half_precision_is_tried_at_one_size():
+    points = [(spot.dtype, spot.samples) for spot, _ in BY_NAME["ramp"].points([*DTYPES], None)]
+    assert points == [
+        *[(dtype, samples) for dtype in ("float32", "float64") for samples in LARGE],
+        ("bfloat16", 48),
+    ]

@@ -4,13 +4,16 @@ import torch
 
 from nerfreg.checks import compositor
 from nerfreg.checks.cases import CASES
-from nerfreg.checks.grid import Grid, check_compositor
+from nerfreg.checks.report import Report
+from nerfreg.checks.run import COMPOSITOR, check_plugin
 from nerfreg.rendering.compositing import composite
 
 NAMES = ("fog", "thickness_1e-12", "thickness_1e30", "empty")
-GRID = Grid(
-    cases=tuple(case for case in CASES if case.name in NAMES), dtypes=("float32",), samples=48
-)
+
+
+def check_named() -> Report:
+    cases = [case for case in CASES if case.name in NAMES]
+    return check_plugin(COMPOSITOR, cases, ("float32",), 48)
 
 
 def subtracting(sigma, rgb, t_edges, background=None):
@@ -21,14 +24,14 @@ def subtracting(sigma, rgb, t_edges, background=None):
 
 
 def test_ours_passes():
-    report = check_compositor(GRID)
+    report = check_named()
     assert report.failures == []
     assert report.worst["float32"].error < 2e-5
 
 
 def test_cancellation_is_found(monkeypatch):
     monkeypatch.setattr(compositor, "composite", subtracting)
-    failures = {(failure.spot.case, failure.check) for failure in check_compositor(GRID).failures}
+    failures = {(failure.spot.case, failure.check) for failure in check_named().failures}
     assert ("thickness_1e-12", "error") in failures
     # weights are lost where tau is 1e-12 / 48, and there alone
     assert {case for case, _ in failures} == {"thickness_1e-12"}
@@ -47,8 +50,8 @@ class Halved(torch.autograd.Function):
 
 
 def test_wrong_gradient_is_found(monkeypatch):
-    grid = Grid(cases=(CASES[0],), dtypes=("float64",), samples=2)
-    assert check_compositor(grid).failures == []
+    grid = CASES[:1], ("float64",), 2
+    assert check_plugin(COMPOSITOR, *grid).failures == []
 
     def halved(sigma, rgb, t_edges, background=None):
         result = composite(sigma, rgb, t_edges, background)
@@ -56,5 +59,5 @@ def test_wrong_gradient_is_found(monkeypatch):
         return result
 
     monkeypatch.setattr(compositor, "composite", halved)
-    [failure] = check_compositor(grid).failures
+    [failure] = check_plugin(COMPOSITOR, *grid).failures
     assert failure.check == "gradient"

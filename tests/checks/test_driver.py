@@ -1,15 +1,15 @@
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 
 import pytest
 import torch
 
 from nerfreg import Regularizer, hookimpl
 from nerfreg.checks.cases import CASES
-from nerfreg.checks.driver import Driver
-from nerfreg.checks.inputs import DTYPES
-from nerfreg.registry import Hooks
+from nerfreg.checks.driver import Driver, Subject
+from nerfreg.checks.inputs import DTYPES, cast
+from nerfreg.registry import PluginInfo
 from nerfreg.rendering.compositing import composite
 
 CASE = next(case for case in CASES if case.name == "thickness_1")
@@ -40,7 +40,10 @@ class Shift(Regularizer):
 
 
 def make_driver(plugin: Regularizer, dtype: torch.dtype = torch.float64) -> Driver:
-    return Driver(CASE.build(48).to(dtype), Hooks({"shift": plugin}), "shift")
+    values = [f"reg.shift.{key}={value}" for key, value in asdict(plugin).items()]
+    return Driver(
+        Subject.of(PluginInfo("shift", "tests", "0", Shift), values), cast(CASE.build(48), dtype)
+    )
 
 
 def test_rendering_is_what_the_compositor_makes_of_the_leaves():

@@ -8,14 +8,10 @@ import pytest
 import torch
 
 from nerfreg import Regularizer, hookimpl
-from nerfreg.checks.grid import Grid, check_plugin
-from nerfreg.checks.photographs import PHOTOGRAPH_CASES, wrong_intervals
+from nerfreg.checks.photographs import PHOTOGRAPH_CASES
+from nerfreg.checks.run import check_plugin
 
 CASES = len(PHOTOGRAPH_CASES)
-
-
-def grid() -> Grid:
-    return Grid(cases=(), layer_cases=())
 
 
 @dataclass
@@ -31,8 +27,9 @@ class Everywhere(Regularizer):
 
 
 def test_right_intervals_pass(subject):
-    report = check_plugin(subject(Everywhere), grid())
-    assert report.passed and len(report.spots) == CASES
+    report = check_plugin(subject(Everywhere), PHOTOGRAPH_CASES)
+    assert report.failures == []
+    assert len(report.spots) == CASES
     assert {spot.dtype for spot in report.spots} == {"float32"}
 
 
@@ -60,7 +57,7 @@ class Turned(Everywhere):
     ],
 )
 def test_wrong_intervals_fail_in_every_case(subject, plugin, message):
-    report = check_plugin(subject(plugin), grid())
+    report = check_plugin(subject(plugin), PHOTOGRAPH_CASES)
     assert len(report.failures) == CASES
     assert all(message in failure.message for failure in report.failures)
 
@@ -75,7 +72,7 @@ class Brightest(Everywhere):
 
 
 def test_photographs_must_stay_as_they_were(subject):
-    report = check_plugin(subject(Brightest), grid())
+    report = check_plugin(subject(Brightest), PHOTOGRAPH_CASES)
     assert {failure.message for failure in report.failures} == {"images has been edited in place"}
     assert {failure.check for failure in report.failures} == {"contract"}
 
@@ -90,13 +87,8 @@ class TwoViews(Everywhere):
 
 
 def test_a_single_view_is_tried(subject):
-    report = check_plugin(subject(TwoViews), grid())
+    report = check_plugin(subject(TwoViews), PHOTOGRAPH_CASES)
     assert [failure.spot.case for failure in report.failures] == ["photos_one"]
     assert report.reproduction(report.failures[0].spot).endswith(
         "--case photos_one --dtype float32"
     )
-
-
-def test_half_known_intervals_are_wrong():
-    known = torch.tensor([[1.0, 2.0], [float("nan")] * 2, [float("nan"), 2.0]]).view(1, 1, 3, 2)
-    assert wrong_intervals(known) == ["one end is NaN and the other is not, in 1 pixels"]

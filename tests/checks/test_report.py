@@ -3,21 +3,34 @@ from __future__ import annotations
 import json
 import math
 
-from nerfreg.checks.report import Report, Spot
-from nerfreg.checks.table import COLUMNS, as_json, print_reports
+import torch
+from omegaconf import OmegaConf
+
+from nerfreg.checks.driver import Subject
+from nerfreg.checks.report import COLUMNS, Report, Spot, print_json, print_reports
 
 WALL = Spot("wall_first", "float32", 48)
+REPRODUCTION = (
+    "nerfreg check suspect --case wall_first --dtype float32 --samples 48 reg.suspect.power=2"
+)
 FOG = Spot("fog", "float64", 2)
 
 
+def suspect(*hook_points: str) -> Subject:
+    return Subject("suspect", hook_points, OmegaConf.create(), ("reg.suspect.power=2",))
+
+
 def made() -> Report:
-    report = Report("suspect", ("ray_bounds", "loss"), ("reg.suspect.power=2",))
-    report.judge("value", FOG, [])
-    report.judge("value", WALL, ["not finite"])
-    report.judge("value", FOG, ["not finite"])
-    report.measure("term", FOG, 1e-12, 1e-11)
-    report.measure("term", FOG, 1e-13, 1e-11)
-    report.inform("term", WALL, math.nan, 1e-3)
+    report = Report(suspect("ray_bounds", "loss"))
+    with report.at(FOG, "value"):
+        report.judge("value", [])
+    with report.at(WALL, "value"):
+        report.judge("value", ["not finite"])
+        report.compare_own("term", torch.tensor(math.nan), torch.tensor(1.0))
+    with report.at(FOG, "value"):
+        report.judge("value", ["not finite"])
+        report.compare({"term": torch.tensor(1 + 2**-40, dtype=torch.float64)}, {"term": 1.0})
+        report.compare({"term": torch.tensor(1 + 2**-43, dtype=torch.float64)}, {"term": 1.0})
     return report
 
 
@@ -29,21 +42,22 @@ def test_states():
         "FAIL",
     ]
     assert report.verdict == "FAIL"
-    assert Report("idle").verdict == "n/a"
+    assert Report(suspect()).verdict == "n/a"
     assert len(report.spots) == 2
 
 
 def test_worst_error_is_kept_and_nan_is_the_worst():
     report = made()
-    assert (report.worst["float64"].error, report.worst["float64"].exact) == (1e-12, True)
-    report.inform("term", WALL, 0.5, 1e-3)
+    assert (report.worst["float64"].error, report.worst["float64"].exact) == (2**-40, True)
+    with report.at(WALL, "value"):
+        report.compare_own("term", torch.tensor(1.5), torch.tensor(1.0))
     assert math.isnan(report.worst["float32"].error)
 
 
 def test_table_in_plain_text(capsys):
     print_reports([made()])
     lines = capsys.readouterr().out.splitlines()
-    assert tuple(lines[0].split()) == COLUMNS
+    assert tuple(lines[0].split()) == tuple(COLUMNS)
     assert lines[1].split() == [
         "suspect",
         "bounds",
@@ -52,7 +66,7 @@ def test_table_in_plain_text(capsys):
         "FAIL",
         "n/a",
         "~nan",
-        "1.0e-12",
+        "9.1e-13",
         "n/a",
         "n/a",
         "FAIL",
@@ -62,22 +76,24 @@ def test_table_in_plain_text(capsys):
     assert lines[3:7] == [
         "",
         "suspect: value: not finite",
-        "    nerfreg check suspect --case wall_first --dtype float32 --samples 48 reg.suspect.power=2",
+        f"    {REPRODUCTION}",
         "    and 1 times more, in fog",
     ]
 
 
 def test_table_shows_five_different_failures(capsys):
-    report = Report("suspect")
-    report.judge("value", WALL, [f"mistake {i}" for i in range(7)])
+    report = Report(suspect())
+    report.spot = WALL
+    report.judge("value", [f"mistake {i}" for i in range(7)])
     print_reports([report])
     out = capsys.readouterr().out
     assert [f"mistake {i}" in out for i in range(7)] == [True] * 5 + [False] * 2
     assert "suspect: 2 other failures, in wall_first" in out
 
 
-def test_json():
-    [plugin] = json.loads(as_json([made()]))["plugins"]
+def test_json(capsys):
+    print_json([made()])
+    [plugin] = json.loads(capsys.readouterr().out)["plugins"]
     assert plugin["verdict"] == "FAIL"
     assert plugin["worst"]["float32"] == {
         "error": "nan",
@@ -92,5 +108,5 @@ def test_json():
         "samples": 48,
         "check": "value",
         "message": "not finite",
-        "reproduce": "nerfreg check suspect --case wall_first --dtype float32 --samples 48 reg.suspect.power=2",
+        "reproduce": REPRODUCTION,
     }

@@ -1,4 +1,4 @@
-"""`train.check=true`: wrong outputs of hooks are refused by name, and right ones train as without it."""
+"""`train.check=true`: wrong outputs of hooks are refused, right ones train as without it."""
 
 from __future__ import annotations
 
@@ -21,10 +21,21 @@ from nerfreg.training.checked_hooks import CheckedHooks
 from nerfreg.training.trainer import Trainer
 
 SMALL = [
-    "scene.size=16", "scene.views=3", "scene.test_views=1", "field.levels=4", "field.finest=64", "sampler.coarse=8",
-    "sampler.fine=8", "field.log2_entries=10", "train.rays=64", "train.steps=5", "train.quiet=true", "eval.count=1",
-    "eval.lpips=false", "hydra.run.dir=run",
-]  # fmt: skip
+    "scene.size=16",
+    "scene.views=3",
+    "scene.test_views=1",
+    "field.levels=4",
+    "field.finest=64",
+    "sampler.coarse=8",
+    "sampler.fine=8",
+    "field.log2_entries=10",
+    "train.rays=64",
+    "train.steps=5",
+    "train.quiet=true",
+    "eval.count=1",
+    "eval.lpips=false",
+    "hydra.run.dir=run",
+]
 
 
 def steps(compose: Callable[..., Config], hooks: Hooks, count: int) -> Trainer:
@@ -136,7 +147,8 @@ class Infinite(Regularizer):
         (Lost(), "plugin it, nerfreg_encoder_input at step 2: positions: "),
         (
             DirectionEditor(),
-            "plugin it, nerfreg_encoder_input at step 0: samples.directions has been edited in place",
+            "plugin it, nerfreg_encoder_input at step 0: "
+            "samples.directions has been edited in place",
         ),
         (
             Greedy(),
@@ -144,7 +156,8 @@ class Infinite(Regularizer):
         ),
         (
             Narrow(),
-            "plugin it, nerfreg_layer: layer 0 of the density network: output: has shape (2, 63), not (2, 64)",
+            "plugin it, nerfreg_layer: layer 0 of the density network: "
+            "output: has shape (2, 63), not (2, 64)",
         ),
         (Infinite(), "plugin it, nerfreg_loss at step 0: term 'other' is inf"),
     ],

@@ -11,10 +11,10 @@ from torch import Tensor, nn
 
 from nerfreg.field.layers import Linear
 from nerfreg.hooks import Needs, Rays, Rendering, Samples
-from nerfreg.registry import Term
 from nerfreg.training.contracts import (
     Untouched,
     wrong_bounds,
+    wrong_known_depth,
     wrong_layer,
     wrong_needs,
     wrong_samples,
@@ -133,9 +133,9 @@ def test_samples_must_come_back(samples: Samples) -> None:
 
 def test_terms() -> None:
     def term(value: Tensor) -> list[str]:
-        return wrong_terms([Term("kl", "kl", 1.0, value)])
+        return wrong_terms({"kl": value})
 
-    assert wrong_terms([]) == term(torch.tensor(-3.0)) == []
+    assert wrong_terms({}) == term(torch.tensor(-3.0)) == []
     assert term(torch.tensor(torch.inf)) == ["term 'kl' is inf"]
     assert term(torch.zeros(2)) == ["term 'kl' has shape (2,), not that of a scalar"]
 
@@ -242,3 +242,8 @@ def test_nan_is_like_nan() -> None:
     assert watch.edits() == []
     samples.positions.data[0, 0, 0] = 0
     assert watch.edits() == ["positions has been edited in place"]
+
+
+def test_half_known_intervals_are_wrong():
+    known = torch.tensor([[1.0, 2.0], [float("nan")] * 2, [float("nan"), 2.0]]).view(1, 1, 3, 2)
+    assert wrong_known_depth(known) == ["one end is NaN and the other is not, in 1 pixels"]

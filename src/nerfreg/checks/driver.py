@@ -1,109 +1,146 @@
-"""Renders the rays of a case through the real compositor and a plugin's hooks, as the renderer does with a field."""
+"""A plugin under check, and the rays of a case rendered through its hooks, as with a field."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, nullcontext
-from dataclasses import replace
+from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
 import torch
 from jaxtyping import Bool, Float
-from torch import Tensor
+from omegaconf import DictConfig, OmegaConf
+from torch import Tensor, nn
 
-from nerfreg.checks.inputs import Inputs
+from nerfreg.checks.inputs import Inputs, cast
+from nerfreg.config.plugin import plugin_config
 from nerfreg.field.network import Network
-from nerfreg.hooks import Rays, Rendering, Samples, Step
+from nerfreg.hooks import Rays, Regularizer, Rendering, Samples, Step
 from nerfreg.numerics import single
-from nerfreg.registry import Hooks
-from nerfreg.rendering.compositing import MIN_WEIGHT, assemble, integrate
+from nerfreg.registry import Hooks, PluginInfo
+from nerfreg.rendering.compositing import assemble
 
 FEATURES, HIDDEN, GEOMETRY = 4, 8, 3
+WIDTHS = {"density": (FEATURES, HIDDEN, 1 + GEOMETRY), "color": (3 + GEOMETRY, HIDDEN, 3)}
 REACH = 0.1
-"""How strongly the small networks' outputs act on the logarithm of density, and on colour."""
+"""How strongly the small networks act on the logarithm of density, and on colour."""
 
 STEPS = 1000
+PROMISE = 1e-6
+"""By how much a plugin may break its promises: rounding, which is more in half precision."""
+
+
+@dataclass(frozen=True)
+class Subject:
+    """A plugin under check, made anew each time so that no check inherits another's state.
+
+    Attributes:
+        name: Name of the plugin.
+        hook_points: The hooks by which it takes part in a run.
+        config: Its configuration.
+        overrides: Those that made the configuration, as given on the command line.
+    """
+
+    name: str
+    hook_points: tuple[str, ...]
+    config: DictConfig
+    overrides: tuple[str, ...] = ()
+
+    @classmethod
+    def of(cls, plugin: PluginInfo, overrides: Sequence[str] = ()) -> Subject:
+        """Return a usable plugin with its defaults changed by overrides `reg.NAME.key=value`."""
+        config = plugin_config(plugin, overrides)
+        return cls(plugin.name, plugin.hook_points, config, tuple(overrides))
+
+    def hooks(self) -> Hooks:
+        """Return the hooks of a run with this plugin alone, of weight 1 and on all the time."""
+        plugin = OmegaConf.to_object(self.config)
+        assert isinstance(plugin, Regularizer)
+        plugin.weight, plugin.start, plugin.end = 1.0, 0.0, 1.0
+        return Hooks({self.name: plugin})
 
 
 class Driver:
-    """One case under the hooks of one plugin.
+    """One case under the hooks of one plugin; renders its rays again for `Step.rerender`.
 
-    Where a field has a grid, the case has numbers for each sample: density and colour are leaf tensors, and two small
-    networks from the layer factory change them smoothly with position, direction and distance. While a plugin
-    perturbs nothing, rendering again gives the same rendering.
+    Where a field has a grid, the case has numbers for each sample: density and colour are leaf
+    tensors, and two small networks from the layer factory change them smoothly with position,
+    direction and distance. While a plugin perturbs nothing, rendering again changes nothing.
 
-    density: (R, N) and colors: (R, N, 3) the leaves. rendering: of them. broken: what the plugin's contract said
-    while it rendered again, by how much at most.
+    Attributes:
+        networks: By name, with layers of `WIDTHS`.
+        density: (R, N) leaf tensor.
+        colors: (R, N, 3) leaf tensor.
+        rendering: What the compositor makes of them, in the precision of the case.
+        broken: By how much the plugin's promises were broken at most, by name.
     """
 
-    def __init__(self, inputs: Inputs, hooks: Hooks, plugin: str) -> None:
+    def __init__(self, subject: Subject, inputs: Inputs) -> None:
+        self.subject = subject
         self.inputs = inputs
-        self.hooks = hooks
-        self.plugin = plugin
+        self.hooks = subject.hooks()
         self.broken: dict[str, float] = {}
         self.density = inputs.density.clone().requires_grad_()
         self.colors = inputs.colors.clone().requires_grad_()
+        features = single(inputs.features)
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(0)
-            self.density_network = make_network("density", (FEATURES, HIDDEN, 1 + GEOMETRY), hooks)
-            self.color_network = make_network("color", (3 + GEOMETRY, HIDDEN, 3), hooks)
-        dtype = single(inputs.density).dtype
-        self.density_network.to(dtype)
-        self.color_network.to(dtype)
-        density = single(self.density)
-        result = integrate(density, single(inputs.t_edges))
-        colored = result.weights.detach() > MIN_WEIGHT
+            self.networks = {name: self._network(name).to(features.dtype) for name in WIDTHS}
+        self.rendering = self._assemble(
+            single(self.density), lambda ray, sample: single(self.colors)[ray, sample]
+        )
         with torch.no_grad():
-            still, turn = (
-                single(inputs.features),
-                single(inputs.rays.directions).new_zeros(int(colored.sum()), 3),
-            )
-            self._raw_density = self.density_network(still.reshape(-1, FEATURES))
-            self._raw_color = self.color_network(
-                self._color_input(turn, self._raw_density, colored)
-            )
-        self.rendering = self._composite(density, single(self.colors)[colored], colored)
+            self._still = self._evaluate(features, features.new_zeros(3))
 
     @property
-    def leaves(self) -> list[Tensor]:
-        """Everything that a gradient may reach: density, colours, and the parameters of the networks."""
-        return [
-            self.density,
-            self.colors,
-            *self.density_network.parameters(),
-            *self.color_network.parameters(),
-        ]
+    def leaves(self) -> list[tuple[str, Tensor]]:
+        """Everything that a gradient may reach: density, colours, parameters of the networks."""
+        networks = self.networks.values()
+        parameters = [parameter for network in networks for parameter in network.parameters()]
+        own = [("density", self.density), ("rgb", self.colors)]
+        return own + [("a parameter of the networks", parameter) for parameter in parameters]
 
     def step(self, fraction: float = 0.5) -> Step:
-        """The step at this share of a run of `STEPS`, with randomness that begins anew."""
-        return Step(
-            index=round(fraction * STEPS),
-            total=STEPS,
-            fraction=min(fraction, 1.0),
-            generator=torch.Generator().manual_seed(0),
-            bounds=self.inputs.bounds,
-            renderer=self,
-        )
+        """Return the step at this share of a run, with randomness that begins anew."""
+        index, generator = round(fraction * STEPS), torch.Generator().manual_seed(0)
+        return Step(index, STEPS, min(fraction, 1.0), generator, self.inputs.bounds, self)
 
     def samples(self) -> Samples:
-        """What the hooks get for the rays of the case, (R, N) samples."""
+        """Return what the hooks get for the rays of the case."""
         rays, t = self.inputs.rays, self.inputs.t
-        return Samples(
-            positions=rays.origins[:, None] + rays.directions[:, None] * t[..., None],
-            directions=rays.directions,
-            t=t,
-            density_width=FEATURES,
-            color_width=3,
-        )
+        positions = rays.origins[:, None] + rays.directions[:, None] * t[..., None]
+        return Samples(positions, rays.directions, t, density_width=FEATURES, color_width=3)
+
+    def terms(self, step: Step, rendering: Rendering | None = None) -> dict[str, Tensor]:
+        """Return the terms of the plugin's loss, of the rendering or of another one."""
+        terms = self.hooks.losses(rendering or self.rendering, step)
+        return {term.name: term.value for term in terms}
+
+    def reference(
+        self, given: nn.Module | Rays | Samples | Rendering, fraction: float = 0.5
+    ) -> dict[str, Any]:
+        """Return the exact values that the plugin ships for what it makes of `given`."""
+        return self.hooks.reference(self.subject.name, given, self.step(fraction))
 
     def keep_contract(self, step: Step) -> None:
         """Ask the plugin for its contract now, and remember the worst answers."""
-        for promise, excess in self.hooks.contract(self.plugin, step).items():
+        for promise, excess in self.hooks.contract(self.subject.name, step).items():
             if math.isnan(excess) or excess > self.broken.get(promise, 0.0):
                 self.broken[promise] = excess
 
+    def broken_promises(self) -> list[str]:
+        """Return what the plugin's contract said, as far as it is more than rounding."""
+        rounding = max(PROMISE, torch.finfo(self.inputs.density.dtype).eps)
+        return [
+            f"promise broken: {name}, by {excess:.2g}"
+            for name, excess in self.broken.items()
+            if not excess <= rounding
+        ]
+
     def frozen(self) -> AbstractContextManager[None]:
-        """Gradients by the networks' weights are checked too, and never frozen."""
+        """Freeze nothing: gradients by the networks' weights are checked, too."""
         return nullcontext()
 
     def render(self, rays: Rays, step: Step, like: Rendering | None = None) -> Rendering:
@@ -114,59 +151,38 @@ class Driver:
         length = far - near if far > near else 1.0
         moved = single(after.positions - before.positions) / length
         later = single(after.t - before.t) / length
-        features = single(self.inputs.features) + torch.cat([moved, later[..., None]], dim=-1)
-        raw = self.density_network(features.reshape(-1, FEATURES))
-        change = (raw - self._raw_density)[:, 0].view(self.density.shape)
-        colored = (like or self.rendering).colored
         directions, old = single(after.directions), single(before.directions)
         turned = (directions if directions.ndim == 3 else directions[:, None]) - old[:, None]
-        turn = turned.expand(*colored.shape, 3)[colored]
-        hue = self.color_network(self._color_input(turn, raw, colored)) - self._raw_color
-        colors = single(self.colors)[colored] + REACH * torch.tanh(hue)
-        again = self._composite(
-            single(self.density) * torch.exp(REACH * torch.tanh(change)), colors, colored
+        features = single(self.inputs.features) + torch.cat([moved, later[..., None]], dim=-1)
+        raw, hue = self._evaluate(features, turned)
+        change, turn = raw - self._still[0], hue - self._still[1]
+        again = self._assemble(
+            single(self.density) * torch.exp(REACH * torch.tanh(change[:, 0].view(later.shape))),
+            lambda ray, sample: single(self.colors)[ray, sample] + REACH * torch.tanh(turn),
+            self.rendering.colored,
         )
         self.keep_contract(step)
         return again
 
-    def _color_input(
-        self,
-        turn: Float[Tensor, "colored 3"],
-        raw: Float[Tensor, "points out"],
-        colored: Bool[Tensor, "rays samples"],
-    ) -> Float[Tensor, "colored in"]:
-        still = single(self.inputs.features)[colored][:, :3]
-        return torch.cat([still + turn, raw[:, 1:][colored.flatten()]], dim=1)
+    def _network(self, name: str) -> Network:
+        shapes = list(pairwise(WIDTHS[name]))
+        activations = [*["relu"] * (len(shapes) - 1), "none"]
+        make = enumerate(zip(shapes, activations, strict=True))
+        return Network([self.hooks.layer(name, i, *shape, kind) for i, (shape, kind) in make])
 
-    def _composite(
+    def _evaluate(self, features: Tensor, turned: Tensor) -> tuple[Tensor, Tensor]:
+        colored = self.rendering.colored
+        raw = self.networks["density"](features.reshape(-1, FEATURES))
+        still = single(self.inputs.features)[colored][:, :3]
+        seen = still + turned.expand(*colored.shape, 3)[colored]
+        return raw, self.networks["color"](torch.cat([seen, raw[:, 1:][colored.flatten()]], dim=1))
+
+    def _assemble(
         self,
         density: Float[Tensor, "rays samples"],
-        colors: Float[Tensor, "colored 3"],
-        colored: Tensor,
+        color: Callable[[Tensor, Tensor], Float[Tensor, "colored 3"]],
+        colored: Bool[Tensor, "rays samples"] | None = None,
     ) -> Rendering:
-        """Composite, and hand out everything in the precision of the case."""
-        made = assemble(
-            self.inputs.rays,
-            single(self.inputs.t),
-            single(self.inputs.t_edges),
-            density,
-            lambda ray, sample: colors,
-            colored,
-        )
-        dtype = self.inputs.density.dtype
-        cast: dict[str, Any] = {
-            name: part.to(dtype)
-            for name, part in vars(made).items()
-            if isinstance(part, Tensor) and part.is_floating_point()
-        }
-        return replace(made, **cast)
-
-
-def make_network(name: str, widths: tuple[int, ...], hooks: Hooks) -> Network:
-    """A network of layers from the layer factory, ReLU between them."""
-    last = len(widths) - 2
-    layers = [
-        hooks.layer(name, i, widths[i], widths[i + 1], "none" if i == last else "relu")
-        for i in range(len(widths) - 1)
-    ]
-    return Network(layers)
+        inputs = self.inputs
+        made = assemble(inputs.rays, inputs.t, inputs.t_edges, density, color, colored)
+        return cast(made, inputs.density.dtype)

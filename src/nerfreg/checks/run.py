@@ -4,132 +4,136 @@ from __future__ import annotations
 
 import sys
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
 
+from omegaconf import OmegaConf
 from rich.console import Console
 
-from nerfreg.checks import compositor
-from nerfreg.checks.cases import CASES
-from nerfreg.checks.grid import Grid, check_compositor, check_plugin
+from nerfreg.checks.cases import CASES, Case
+from nerfreg.checks.compositor import check_compositing
+from nerfreg.checks.driver import Subject
 from nerfreg.checks.inputs import DTYPES
-from nerfreg.checks.layers import LAYER_CASES
-from nerfreg.checks.photographs import PHOTOGRAPH_CASES
-from nerfreg.checks.report import Report
-from nerfreg.checks.subject import Subject, make_subject
-from nerfreg.checks.table import as_json, print_reports
+from nerfreg.checks.layers import LAYER_CASES, LayerCase, check_layers
+from nerfreg.checks.losses import check_losses
+from nerfreg.checks.photographs import PHOTOGRAPH_CASES, PhotographCase, check_known_depth
+from nerfreg.checks.report import Report, print_json, print_reports
+from nerfreg.checks.transforms import check_encoder_input, check_needs, check_ray_bounds
 from nerfreg.errors import NerfregError, nearest
-from nerfreg.registry import PluginInfo, installed
+from nerfreg.registry import installed
 
-ALL_CASES = (*CASES, *LAYER_CASES, *PHOTOGRAPH_CASES)
+AnyCase = Case | LayerCase | PhotographCase
+ALL_CASES: tuple[AnyCase, ...] = (*CASES, *LAYER_CASES, *PHOTOGRAPH_CASES)
+COMPOSITOR = Subject("compositing", ("core",), OmegaConf.create())
+CHECKS_OF: dict[type[AnyCase], tuple[tuple[str, str, Callable[..., None]], ...]] = {
+    Case: (
+        ("core", "value", check_compositing),
+        ("needs", "contract", check_needs),
+        ("ray_bounds", "contract", check_ray_bounds),
+        ("encoder_input", "contract", check_encoder_input),
+        ("loss", "value", check_losses),
+    ),
+    LayerCase: (("layer", "value", check_layers),),
+    PhotographCase: (("known_depth", "value", check_known_depth),),
+}
+"""What a kind of case is for: the hook, what has failed if the plugin raises, and the check."""
 
 
-@dataclass(frozen=True)
-class Selection:
-    """What is checked of a plugin; None stands for everything.
+def check_plugin(
+    subject: Subject,
+    cases: Sequence[AnyCase] = ALL_CASES,
+    dtypes: Sequence[str] = tuple(DTYPES),
+    samples: int | None = None,
+) -> Report:
+    """Check one plugin over cases, precisions and numbers of samples.
 
-    Attributes:
-        case: Name of a case.
-        dtype: Name of a precision.
-        samples: Number of samples on a ray.
+    Args:
+        subject: The plugin.
+        cases: Each is used for the hooks by which the plugin takes part in a run.
+        dtypes: Names of precisions.
+        samples: Number of samples on a ray, in place of those of each case.
     """
-
-    case: str | None = None
-    dtype: str | None = None
-    samples: int | None = None
-
-    def __post_init__(self) -> None:
-        names = [case.name for case in ALL_CASES]
-        if self.case is not None and self.case not in names:
-            raise NerfregError(f"--case {self.case}: {nearest(self.case, names)}")
-
-    def grid(self) -> Grid:
-        """Return the cases, precisions and sizes that are selected."""
-        return Grid(
-            cases=tuple(case for case in CASES if self.case in (None, case.name)),
-            layer_cases=tuple(case for case in LAYER_CASES if self.case in (None, case.name)),
-            photograph_cases=tuple(c for c in PHOTOGRAPH_CASES if self.case in (None, c.name)),
-            dtypes=tuple(DTYPES) if self.dtype is None else (self.dtype,),
-            samples=self.samples,
-        )
+    report = Report(subject)
+    points = ((case, *point) for case in cases for point in case.points(dtypes, samples))
+    for case, spot, given in points:
+        for hook, failing, check in CHECKS_OF[type(case)]:
+            if hook in subject.hook_points:
+                with report.at(spot, failing):
+                    check(report, case, given)
+    return report
 
 
-def run(words: Sequence[str], selection: Selection, as_document: bool = False) -> int:
+def run(
+    words: Sequence[str],
+    case: str | None = None,
+    dtype: str | None = None,
+    samples: int | None = None,
+    as_document: bool = False,
+) -> int:
     """Check plugins, and print what was found.
 
     Args:
         words: Names of plugins, and overrides `reg.NAME.key=value`. Without a name all plugins and
             the compositor are checked.
-        selection: What is checked of each.
+        case: Name of a case; None: all of them.
+        dtype: Name of a precision; None: all of them.
+        samples: Number of samples on a ray; None: those of each case.
         as_document: Whether to print one JSON document in place of a table.
 
     Returns:
         1 if anything failed, else 0.
 
     Raises:
-        NerfregError: A plugin or key is not known.
+        NerfregError: A plugin, case or key is not known.
     """
-    plugins, overrides = _parted(words)
-    subjects = _subjects(plugins, overrides)
-    grid = selection.grid()
-    reports: list[Report] = []
+    cases = [known for known in ALL_CASES if case in (None, known.name)]
+    if not cases:
+        raise NerfregError(f"--case {case}: {nearest(str(case), (c.name for c in ALL_CASES))}")
+    dtypes = tuple(DTYPES) if dtype is None else (dtype,)
+    subjects, reports = _subjects(words), []
     with Console(stderr=True).status("checking") as status:
-        if not plugins or compositor.NAME in plugins:
-            status.update(f"checking {compositor.NAME}")
-            reports.append(check_compositor(grid))
         for subject in subjects:
             status.update(f"checking {subject.name}")
-            reports.append(check_plugin(subject, grid))
-    if as_document:
-        print(as_json(reports))
-    else:
-        print_reports(reports)
-    return 0 if all(report.passed for report in reports) else 1
+            reports.append(check_plugin(subject, cases, dtypes, samples))
+    show = print_json if as_document else print_reports
+    show(reports)
+    return 1 if any(report.failures for report in reports) else 0
 
 
-def _parted(words: Sequence[str]) -> tuple[list[str], dict[str, list[str]]]:
-    """Names of plugins, and overrides by plugin."""
-    plugins: list[str] = []
-    overrides: dict[str, list[str]] = defaultdict(list)
-    for word in words:
-        name, equals, _ = word.partition("=")
-        if not equals:
-            plugins.append(word)
-        elif name.startswith("reg.") and name.count(".") == 2:
-            overrides[name.split(".")[1]].append(word)
-        else:
-            raise NerfregError(f"'{word}' is no plugin and no override; write reg.NAME.key=value")
-    return plugins, overrides
-
-
-def _subjects(plugins: Sequence[str], overrides: Mapping[str, Sequence[str]]) -> list[Subject]:
-    """The plugins to check; broken ones are an error if they were named, else a warning."""
+def _subjects(words: Sequence[str]) -> list[Subject]:
+    """What to check; broken plugins are an error if they were named, else a warning."""
+    names, overrides = [word for word in words if "=" not in word], _overrides(words)
     found = {plugin.name: plugin for plugin in installed()}
-    for name in (*plugins, *overrides):
-        if name not in found and name != compositor.NAME:
-            raise NerfregError(
-                f"unknown plugin '{name}'; {nearest(name, (*found, compositor.NAME))}"
-            )
-        if plugins and name not in plugins:
+    known = (*found, COMPOSITOR.name)
+    for name in (*names, *overrides):
+        if name not in known:
+            raise NerfregError(f"unknown plugin '{name}'; {nearest(name, known)}")
+        if names and name not in names:
             raise NerfregError(f"{overrides[name][0]}: plugin '{name}' is not checked; name it too")
-    subjects = []
-    for name, plugin in found.items():
-        if plugins and name not in plugins:
-            continue
+    subjects = [COMPOSITOR] if COMPOSITOR.name in (names or known) else []
+    for name in (name for name in found if name in (names or known)):
+        plugin = found[name]
+        broken = f"plugin '{name}' of package {plugin.package}: {plugin.error}"
         if plugin.cls is not None:
-            subjects.append(make_subject(plugin, overrides.get(name, ())))
-        elif plugins:
-            raise NerfregError(_broken(plugin))
+            subjects.append(Subject.of(plugin, overrides.get(name, ())))
+        elif names:
+            raise NerfregError(broken)
         else:
-            print(f"nerfreg: warning: left out {_broken(plugin)}", file=sys.stderr)
+            print(f"nerfreg: warning: left out {broken}", file=sys.stderr)
     return subjects
 
 
-def _broken(plugin: PluginInfo) -> str:
-    return f"plugin '{plugin.name}' of package {plugin.package}: {plugin.error}"
+def _overrides(words: Sequence[str]) -> dict[str, list[str]]:
+    """By plugin."""
+    overrides = defaultdict(list)
+    for word in (word for word in words if "=" in word):
+        parts = word.partition("=")[0].split(".")
+        if len(parts) != 3 or parts[0] != "reg":
+            raise NerfregError(f"'{word}' is no plugin and no override; write reg.NAME.key=value")
+        overrides[parts[1]].append(word)
+    return overrides
 
 
 def listing() -> str:
-    cases = [(case.name, case.description) for case in ALL_CASES]
-    width = max(len(name) for name, _ in cases)
-    return "\n".join(f"{name:<{width}}  {description}" for name, description in cases)
+    """Return a line for each case, with its name and what it is."""
+    width = max(len(case.name) for case in ALL_CASES)
+    return "\n".join(f"{case.name:<{width}}  {case.description}" for case in ALL_CASES)

@@ -75,8 +75,8 @@ def check(options: Namespace, words: Words) -> int:
     if options.list:
         print(checks.listing())
         return 0
-    selection = checks.Selection(options.case, options.dtype, options.samples)
-    return checks.run(options.plugins, selection, options.json)
+    chosen = options.case, options.dtype, options.samples
+    return checks.run(options.plugins, *chosen, options.json)
 
 
 def bench(options: Namespace, words: Words) -> int:

@@ -1,8 +1,8 @@
-"""What is wrong with the output of a hook, in one line for each mistake; no line means that nothing is."""
+"""What is wrong with the answer of a hook: one line for each mistake, none if nothing is wrong."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import fields, is_dataclass
 from functools import cached_property
 
@@ -12,93 +12,111 @@ from torch import Tensor, nn
 from nerfreg.field.layers import AffineLayer
 from nerfreg.hooks import NEIGHBORS, Needs, Rays, Rendering, Samples
 from nerfreg.numerics import not_finite
-from nerfreg.registry import Term
 from nerfreg.scenes.scene import Photographs
 
 
+def wrong_known_depth(known: Tensor) -> list[str]:
+    """Check that `nerfreg_known_depth` tells both ends of an interval, (..., 2), or neither.
+
+    The nearer one is not behind the camera, and the farther one is finite.
+    """
+    first, last = known.unbind(-1)
+    mistakes = {
+        "one end is NaN and the other is not": first.isnan() != last.isnan(),
+        "an interval begins behind the camera": first < 0,
+        "an interval has no end": last.isinf(),
+    }
+    return [
+        f"{line}, in {int(where.sum())} pixels"
+        for line, where in mistakes.items()
+        if bool(where.any())
+    ]
+
+
 def wrong_needs(needs: object) -> list[str]:
-    """`nerfreg_needs` returns None or a Needs with a size from 0, a share up to 1, one below 1 and known names."""
+    """Check that `nerfreg_needs` returned None, or a `Needs` that the core can render."""
     if needs is None:
         return []
     if not isinstance(needs, Needs):
         return [f"returned {_kind(needs)}, not a Needs"]
-    wrong = []
-    if not isinstance(needs.patch_size, int) or needs.patch_size < 0:
-        wrong.append(f"patch_size={needs.patch_size!r}: must be an integer, at least 0")
-    if not 0 <= needs.patch_fraction <= 1:
-        wrong.append(f"patch_fraction={needs.patch_fraction!r}: must be between 0 and 1")
-    if not 0 <= needs.unseen_rays < 1:
-        wrong.append(f"unseen_rays={needs.unseen_rays!r}: must be at least 0 and below 1")
-    if not 0 <= needs.unseen_patches < 1:
-        wrong.append(f"unseen_patches={needs.unseen_patches!r}: must be at least 0 and below 1")
-    if needs.neighbors not in NEIGHBORS:
-        wrong.append(f"neighbors={needs.neighbors!r}: must be one of {', '.join(NEIGHBORS)}")
-    return wrong
+    share = "at least 0 and below 1"
+    demands = {
+        "patch_size": (
+            isinstance(needs.patch_size, int) and needs.patch_size >= 0,
+            "an integer, at least 0",
+        ),
+        "patch_fraction": (0 <= needs.patch_fraction <= 1, "between 0 and 1"),
+        "unseen_rays": (0 <= needs.unseen_rays < 1, share),
+        "unseen_patches": (0 <= needs.unseen_patches < 1, share),
+        "neighbors": (needs.neighbors in NEIGHBORS, f"one of {', '.join(NEIGHBORS)}"),
+    }
+    return [
+        f"{key}={getattr(needs, key)!r}: must be {demand}"
+        for key, (met, demand) in demands.items()
+        if not met
+    ]
 
 
 def wrong_bounds(near: object, far: object, rays: Rays) -> list[str]:
-    """Near and far of `nerfreg_ray_bounds` are (R,) as those of `rays`, finite, and near is nowhere beyond far."""
+    """Check that near and far of `nerfreg_ray_bounds` are (R,), finite and in order."""
     wrong = _unlike("near", near, rays.near) + _unlike("far", far, rays.far)
     if wrong or not (isinstance(near, Tensor) and isinstance(far, Tensor)):
         return wrong
     beyond = (near.detach() > far.detach()).nonzero()
-    if len(beyond):
-        ray = int(beyond[0])
-        wrong.append(
-            f"near > far on {len(beyond)} of {len(near)} rays, the first ray {ray}: "
-            f"near {float(near[ray]):g}, far {float(far[ray]):g}"
-        )
-    return wrong
+    if len(beyond) == 0:
+        return []
+    ray = int(beyond[0])
+    return [
+        f"near > far on {len(beyond)} of {len(near)} rays, the first ray {ray}: "
+        f"near {float(near[ray]):g}, far {float(far[ray]):g}"
+    ]
 
 
 def wrong_samples(before: Samples, after: object) -> list[str]:
-    """What `nerfreg_encoder_input` made of `before` has its shapes, is finite, and asks for features that exist."""
+    """Check what `nerfreg_encoder_input` made of `before`.
+
+    It must have the same shapes, be finite, and ask for no more features than there are.
+    """
     if not isinstance(after, Samples):
         return [f"returned {_kind(after)}, not Samples"]
-    wrong = _unlike("positions", after.positions, before.positions) + _unlike(
-        "t", after.t, before.t
-    )
+    wrong = _unlike("positions", after.positions, before.positions)
+    wrong += _unlike("t", after.t, before.t)
     # Directions may come as (R, 3), and go on as (R, N, 3).
     per_sample = isinstance(after.directions, Tensor) and after.directions.ndim == 3
-    wrong += _unlike(
-        "directions", after.directions, before.positions if per_sample else before.directions
-    )
+    model = before.positions if per_sample else before.directions
+    wrong += _unlike("directions", after.directions, model)
     for side in ("density", "color"):
-        width, active = getattr(before, f"{side}_width"), getattr(after, f"{side}_features")
+        width, left = getattr(before, f"{side}_width"), getattr(after, f"{side}_width")
+        active = getattr(after, f"{side}_features")
         if active is not None and not 0 <= active <= width:
             wrong.append(f"{side}_features={active!r}: must be None, or between 0 and {width}")
-        if getattr(after, f"{side}_width") != width:
-            wrong.append(
-                f"{side}_width={getattr(after, f'{side}_width')!r}: is the core's, {width}; leave it"
-            )
+        if left != width:
+            wrong.append(f"{side}_width={left!r}: is the core's, {width}; leave it")
     return wrong
 
 
-def wrong_terms(terms: Sequence[Term]) -> list[str]:
-    """The terms of `nerfreg_loss` are finite scalars."""
+def wrong_terms(terms: Mapping[str, object]) -> list[str]:
+    """Check that the terms of `nerfreg_loss`, by name, are finite scalars."""
     wrong = []
-    for term in terms:
-        if not isinstance(term.value, Tensor):
-            wrong.append(f"term '{term.name}' is {_kind(term.value)}, not a tensor")
-        elif term.value.ndim != 0:
-            wrong.append(
-                f"term '{term.name}' has shape {tuple(term.value.shape)}, not that of a scalar"
-            )
+    for name, value in terms.items():
+        if not isinstance(value, Tensor):
+            wrong.append(f"term '{name}' is {_kind(value)}, not a tensor")
+        elif value.ndim != 0:
+            wrong.append(f"term '{name}' has shape {tuple(value.shape)}, not that of a scalar")
         else:
-            wrong += not_finite(f"term '{term.name}'", term.value)
+            wrong += not_finite(f"term '{name}'", value)
     return wrong
 
 
 def wrong_layer(layer: object, in_features: int, out_features: int) -> list[str]:
-    """A layer of `nerfreg_layer` has finite parameters and maps (points, in) to (points, out), finite.
+    """Check that a layer of `nerfreg_layer` maps (points, in) to (points, out), all finite.
 
-    It is tried on two points, one of zeros and one of ones; an `AffineLayer` also by its effective weight and bias.
+    Its parameters must be finite, too. It is tried on two points, one of zeros and one of ones; an
+    `AffineLayer` also by its effective weight and bias.
     """
     if not isinstance(layer, nn.Module):
         return [f"returned {_kind(layer)}, not a torch module"]
-    wrong = [
-        line for name, parameter in layer.named_parameters() for line in not_finite(name, parameter)
-    ]
+    wrong = [line for name, values in layer.named_parameters() for line in not_finite(name, values)]
     probe = torch.stack([torch.zeros(in_features), torch.ones(in_features)])
     try:
         # A layer that draws numbers must not change those that the next layer starts with.
@@ -106,25 +124,23 @@ def wrong_layer(layer: object, in_features: int, out_features: int) -> list[str]
             output = layer(probe)
             affine = layer.effective() if isinstance(layer, AffineLayer) else None
     except Exception as error:  # a stranger's module may raise anything
-        return [
-            *wrong,
-            f"fails on (points, {in_features}): {type(error).__name__}: {error}".partition("\n")[0],
-        ]
+        failure = f"fails on (points, {in_features}): {type(error).__name__}: {error}"
+        return [*wrong, failure.partition("\n")[0]]
     wrong += _unlike("output", output, probe.new_empty(2, out_features))
     if affine is not None:
         weight, bias = affine
         wrong += _unlike("effective weight", weight, probe.new_empty(out_features, in_features))
-        wrong += (
-            [] if bias is None else _unlike("effective bias", bias, probe.new_empty(out_features))
-        )
+        if bias is not None:
+            wrong += _unlike("effective bias", bias, probe.new_empty(out_features))
     return wrong
 
 
 class Untouched:
-    """Remembers the tensors of what a hook gets, and tells which have been edited or replaced since.
+    """Remembers the tensors that a hook gets, and tells which have been edited or replaced since.
 
-    Values are compared besides versions: an edit through `.data` or numpy leaves the version as it was. Properties
-    that are computed once, such as `Rendering.alphas`, are compared with what they must be.
+    Values are compared besides versions, because an edit through `.data` or numpy leaves the
+    version as it was. Properties that are computed once, such as `Rendering.alphas`, are compared
+    with what they must be.
     """
 
     def __init__(self, watched: Rendering | Rays | Samples | Photographs) -> None:
@@ -135,7 +151,7 @@ class Untouched:
         self._computed = dict(_computed(watched))
 
     def edits(self) -> list[str]:
-        """One line for each tensor that is not as it was."""
+        """Return one line for each tensor that is not as it was."""
         now = dict(_tensors(self._watched))
         lines = []
         for name, tensor in self._tensors.items():
@@ -144,11 +160,11 @@ class Untouched:
             elif tensor._version != self._versions[name] or not _same(tensor, self._copies[name]):
                 lines.append(f"{name} has been edited in place")
         lines += [f"{name} has been added" for name in now.keys() - self._tensors.keys()]
-        kept = vars(self._watched)
+        cached = vars(self._watched)
         return lines + [
             f"{name} has been edited in place"
             for name, value in self._computed.items()
-            if name in kept and not _same(kept[name], value)
+            if name in cached and not _same(cached[name], value)
         ]
 
 
@@ -164,13 +180,15 @@ def _tensors(watched: object, prefix: str = "") -> Iterator[tuple[str, Tensor]]:
 
 @torch.no_grad()
 def _computed(watched: object) -> Iterator[tuple[str, Tensor]]:
-    """What the cached properties give, without caching it: a graph made here would change the order of later sums."""
     for name, value in vars(type(watched)).items():
         if isinstance(value, cached_property):
+            # Not cached, and without a graph: a graph made here would change the order of later
+            # sums, and a run that is looked at must train as one that is not.
             yield name, value.func(watched)
 
 
 def _same(a: Tensor, b: Tensor) -> bool:
+    # NaN counts as equal to NaN.
     return torch.equal(a.detach(), b) or bool(((a == b) | (a.isnan() & b.isnan())).all())
 
 

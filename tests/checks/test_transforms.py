@@ -1,11 +1,11 @@
-"""That the core keeps its word about dead features, and that it would be found out if it did not."""
+"""Dead features have no influence on the core's field; if they had, it would be found."""
 
 from __future__ import annotations
 
 import pytest
 import torch
 
-from nerfreg.checks.masks import BACKENDS, wrong_masks
+from nerfreg.checks.transforms import BACKENDS, wrong_masks
 from nerfreg.field.radiance_field import RadianceField
 from nerfreg.hooks import Samples
 
