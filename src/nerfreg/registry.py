@@ -44,7 +44,15 @@ REFERENCE_DIGITS = 150
 
 @dataclass(frozen=True)
 class PluginInfo:
-    """One entry point. `error` says why it cannot be used; `cls` is None then."""
+    """One entry point.
+
+    Attributes:
+        name: Of the entry point, by which the plugin is selected.
+        package: The distribution that it comes from.
+        version: Of that distribution.
+        cls: The plugin's class; None if it cannot be used.
+        error: Why it cannot be used.
+    """
 
     name: str
     package: str
@@ -54,7 +62,7 @@ class PluginInfo:
 
     @property
     def hook_points(self) -> tuple[str, ...]:
-        """The hooks by which the plugin takes part in a run, without their prefix, in the order of a step."""
+        """The hooks that act in a run, without their prefix, in the order of a step."""
         used = _implemented(self.cls) if self.cls else ()
         return tuple(hook.removeprefix("nerfreg_") for hook in used if hook not in CHECK_HOOKS)
 
@@ -65,11 +73,12 @@ class PluginInfo:
 
     @property
     def state(self) -> str:
+        """What is wrong with the plugin; `ok` if nothing is."""
         return self.error or "ok"
 
 
 def installed() -> list[PluginInfo]:
-    """All plugins by name, the broken ones included, whose `error` tells what is wrong with them."""
+    """Return all plugins by name, the broken ones included."""
     found = [(point.name, point, *_source(point)) for point in _entry_points()]
     claims = Counter(name for name, *_ in found)
     plugins = []
@@ -82,11 +91,8 @@ def installed() -> list[PluginInfo]:
         try:
             cls = point.load()
             error = _mistake(cls)
-        except Exception as exception:  # a stranger's module may raise anything
-            cls, error = (
-                None,
-                f"failed to import: {type(exception).__name__}: {exception}".partition("\n")[0],
-            )
+        except Exception as exception:  # a foreign module may raise anything
+            error = f"failed to import: {type(exception).__name__}: {exception}".partition("\n")[0]
         plugins.append(PluginInfo(name, package, version, None if error else cls, error))
     return plugins
 
@@ -96,7 +102,8 @@ def _entry_points() -> list[EntryPoint]:
     try:
         distribution(PROJECT)
     except PackageNotFoundError:
-        # A source checkout on PYTHONPATH has no metadata yet; what it would register stands in its pyproject.toml.
+        # A source checkout on PYTHONPATH has no metadata; its pyproject.toml says what it would
+        # register.
         points += _checkout_entry_points(Path(__file__).parents[2] / "pyproject.toml")
     return points
 
@@ -138,7 +145,14 @@ def _mistake(cls: object) -> str:
 
 @dataclass(frozen=True)
 class Term:
-    """One term of the loss: `weight * value` is added to it."""
+    """One term of the loss: `weight * value` is added to it.
+
+    Attributes:
+        plugin: Name of the plugin that returned it.
+        name: What the plugin calls it.
+        weight: Of the plugin.
+        value: The unweighted scalar.
+    """
 
     plugin: str
     name: str
@@ -151,23 +165,32 @@ class CoreDefaults:
 
     @hookimpl(trylast=True)
     def nerfreg_layer(self, in_features: int, out_features: int, activation: str) -> nn.Module:
+        """Make a plain linear layer without bias."""
         return Linear(in_features, out_features, activation)
 
     @hookimpl(trylast=True)
     def nerfreg_ray_bounds(self, rays: Rays) -> tuple[Tensor, Tensor]:
+        """Return the bounds that the rays have."""
         return rays.near, rays.far
 
     @hookimpl(trylast=True)
     def nerfreg_encoder_input(self, samples: Samples) -> Samples:
+        """Return the samples as they are."""
         return samples
 
 
 class Hooks:
-    """The hooks of one run. Plugins are called in the order of `plugins`; a later wrapper goes around an earlier one.
+    """The hooks of one run.
 
-    A plugin of weight 0 is left out altogether, and one outside its window [start, end) is not called.
+    Plugins are called in the order in which they were given; a later wrapper goes around an earlier
+    one. A plugin of weight 0 is left out altogether, and one outside its window [start, end) is not
+    called.
 
-    Raises NerfregError for weights, windows and combinations that cannot work.
+    Args:
+        plugins: The selected plugins by name.
+
+    Raises:
+        NerfregError: A weight, a window or a combination of plugins cannot work.
     """
 
     def __init__(self, plugins: dict[str, Regularizer] | None = None) -> None:
@@ -180,11 +203,14 @@ class Hooks:
             for hook in HOOKS
         }
         self._core = CoreDefaults()
+        # Kept, because making a manager is slow against calling it, and there are only as many sets
+        # of active plugins as combinations of open windows.
         self._manager = cache(self._make_manager)
+        # Made once here, so that a plugin that pluggy refuses is refused before the run begins.
         self._manager(tuple(used))
 
     def needs(self, step: Step) -> Needs:
-        """The union of what the active plugins want rendered."""
+        """Return the union of what the active plugins want rendered."""
         union = Needs()
         for name in self._active("nerfreg_needs", step):
             for needs in self._ask("nerfreg_needs", (name,), {"step": step}):
@@ -194,7 +220,10 @@ class Hooks:
     def layer(
         self, network: str, index: int, in_features: int, out_features: int, activation: str
     ) -> nn.Module:
-        """One layer of a network, made by whichever selected plugin makes layers, whatever its window."""
+        """Return one layer of a network, made by a selected plugin whatever its window.
+
+        See `HookSpecs.nerfreg_layer` for the arguments.
+        """
         users = self._users["nerfreg_layer"]
         if not users:
             return self._core.nerfreg_layer(in_features, out_features, activation)
@@ -210,27 +239,37 @@ class Hooks:
 
     @property
     def depth_tellers(self) -> tuple[str, ...]:
-        """Plugins that `known_depth` asks, which may take them a while."""
+        """Names of the plugins that `known_depth` asks, which may take a while to answer."""
         return self._users["nerfreg_known_depth"]
 
     def known_depth(self, photographs: Photographs) -> Float[Tensor, "views height width 2"] | None:
-        """What a selected plugin knows of depth before training, whatever its window.
+        """Return what a selected plugin knows of depth before training, whatever its window.
 
-        Raises NerfregError if two plugins know something, and for what is no interval for each pixel.
+        Args:
+            photographs: The training views.
+
+        Returns:
+            An interval of distance for each pixel, NaN where nothing is known; None if no plugin
+            answers.
+
+        Raises:
+            NerfregError: Two plugins answer, or an answer is not an interval for each pixel.
         """
         known: dict[str, Tensor] = {}
         for name in self.depth_tellers:
             for depth in self._ask("nerfreg_known_depth", (name,), {"photographs": photographs}):
                 known[name] = depth
         if len(known) > 1:
+            both = " and ".join(known)
             raise NerfregError(
-                f"plugins {' and '.join(known)} both tell the depth of the photographs; drop one of them"
+                f"plugins {both} both tell the depth of the photographs; drop one of them"
             )
         for name, depth in known.items():
             shape = (*photographs.images.shape[:3], 2)
             if tuple(depth.shape) != shape:
+                found = tuple(depth.shape)
                 raise NerfregError(
-                    f"plugin {name}, nerfreg_known_depth: has shape {tuple(depth.shape)}, not {shape}"
+                    f"plugin {name}, nerfreg_known_depth: has shape {found}, not {shape}"
                 )
             if bool((depth[..., 0] > depth[..., 1]).any()):
                 raise NerfregError(
@@ -239,7 +278,7 @@ class Hooks:
         return next(iter(known.values()), None)
 
     def ray_bounds(self, rays: Rays, step: Step) -> tuple[Tensor, Tensor]:
-        """Near and far of each ray, (R,) each."""
+        """Return near and far of each ray, (R,) each."""
         active = self._active("nerfreg_ray_bounds", step)
         if not active:
             return rays.near, rays.far
@@ -247,7 +286,7 @@ class Hooks:
         return near, far
 
     def encoder_input(self, samples: Samples, step: Step) -> Samples:
-        """What the encoders shall see instead of `samples`."""
+        """Return what the encoders see in place of `samples`."""
         active = self._active("nerfreg_encoder_input", step)
         if not active:
             return samples
@@ -256,7 +295,11 @@ class Hooks:
         return changed
 
     def losses(self, rendering: Rendering, step: Step) -> list[Term]:
-        """All terms of the active plugins, unweighted, with the weight that belongs to each."""
+        """Return all terms of the active plugins, unweighted, each with its plugin's weight.
+
+        Raises:
+            NerfregError: A term is not a scalar.
+        """
         terms = []
         for name in self._active("nerfreg_loss", step):
             # One plugin at a time, because the answer does not say whose it is.
@@ -274,13 +317,13 @@ class Hooks:
     def reference(
         self, name: str, given: nn.Module | Rays | Samples | Rendering, step: Step
     ) -> dict[str, Any]:
-        """The exact values that plugin `name` ships for what it makes of `given`; empty if it ships none."""
+        """Return the exact values of what plugin `name` makes of `given`; empty if it has none."""
         with mpmath.workdps(REFERENCE_DIGITS):
             answers = self._ask("nerfreg_reference", (name,), {"given": given, "step": step})
         return {key: value for answer in answers for key, value in answer.items()}
 
     def contract(self, name: str, step: Step) -> dict[str, float]:
-        """By how much plugin `name` breaks each promise it makes of itself."""
+        """Return by how much plugin `name` breaks each promise that it makes of itself."""
         answers = self._ask("nerfreg_contract", (name,), {"step": step})
         return {key: value for answer in answers for key, value in answer.items()}
 
@@ -302,8 +345,7 @@ class Hooks:
         return tuple(name for name in users if self.plugins[name].active(step)) if users else ()
 
     def _make_manager(self, names: tuple[str, ...]) -> pluggy.PluginManager:
-        # One manager for each set of active plugins: pluggy's own subset caller wants hashable plugins, and
-        # dataclasses are not.
+        # pluggy's own way to call a subset wants hashable plugins, and dataclasses are not.
         manager = pluggy.PluginManager(PROJECT)
         manager.add_hookspecs(HookSpecs)
         manager.register(self._core, "core")
@@ -324,7 +366,8 @@ def _check(name: str, plugin: Regularizer, plugins: dict[str, Regularizer]) -> N
         value = getattr(plugin, key)
         if value < 0 or (isinstance(value, float) and not value <= 1):
             raise NerfregError(
-                f"reg.{name}.{key}={value}: must be a step (an integer from 0) or a fraction of the budget (0.0 to 1.0)"
+                f"reg.{name}.{key}={value}: must be a step (an integer from 0) "
+                "or a fraction of the budget (0.0 to 1.0)"
             )
     if type(plugin.start) is type(plugin.end) and plugin.start >= plugin.end:
         raise NerfregError(
