@@ -46,7 +46,7 @@ def test_no_memory_at_all_is_fine() -> None:
 
 
 def test_a_step_keeps_the_limit_that_the_docstring_promises() -> None:
-    # The Cauchy-Schwarz inequality is an equality for gradients that grow by beta2 / beta1 with each
+    # The Cauchy-Schwarz inequality is an equality for gradients that grow by beta2 / beta1 in every
     # step.
     config = OptimConfig()
     b1, b2 = config.beta1, config.beta2

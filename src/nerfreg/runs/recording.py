@@ -141,7 +141,9 @@ def load_recording(path: Path) -> Recording:
     try:
         with safe_open(path, "pt") as file:
             metadata = file.metadata() or {}
-            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 (not a dictionary)
+            # `file` is not a dictionary and cannot be iterated over.
+            names = file.keys()
+            tensors = {name: file.get_tensor(name) for name in names}
     except (SafetensorError, OSError) as error:
         raise NerfregError(f"{path}: cannot be read: {str(error).splitlines()[0]}") from error
     if metadata.get("format") != FORMAT:
