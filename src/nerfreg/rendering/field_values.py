@@ -7,6 +7,7 @@ step of 245 ms for the sorted samples, and 3 % of a step for the picked ones.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import torch
@@ -43,9 +44,7 @@ class FieldValues(NamedTuple):
         Args:
             order: (R, N) a permutation of the columns in each row.
         """
-        return FieldValues(
-            _Permute.apply(self.density, order), self.raw, self.rows.gather(1, order)
-        )
+        return FieldValues(_permute(self.density, order), self.raw, self.rows.gather(1, order))
 
     def picked(
         self, ray: Int[Tensor, " picked"], sample: Int[Tensor, " picked"]
@@ -56,7 +55,7 @@ class FieldValues(NamedTuple):
             ray: (P,) index of the ray.
             sample: (P,) index of the sample on it; no sample may occur twice.
         """
-        return _Pick.apply(self.raw, self.rows[ray, sample])
+        return _pick(self.raw, self.rows[ray, sample])
 
 
 class _Permute(torch.autograd.Function):
@@ -89,3 +88,8 @@ class _Pick(torch.autograd.Function):
         # The rows that were not picked keep a gradient of 0.
         gradient = grads[0].new_zeros(ctx.count, *grads[0].shape[1:])
         return gradient.index_copy_(0, rows, grads[0]), None
+
+
+# PyTorch leaves `apply` without types.
+_permute: Callable[[Tensor, Tensor], Tensor] = _Permute.apply
+_pick: Callable[[Tensor, Tensor], Tensor] = _Pick.apply

@@ -96,4 +96,5 @@ class OptimConfig:
         # 0.3 was best after about 2300 steps, and no better than 0.1 after 7000
         # (docs/performance.md).
         last = 1 / (1 + steps / HALVED) if self.decay is None else self.decay
-        return self.lr * last**fraction
+        rate: float = self.lr * last**fraction
+        return rate
