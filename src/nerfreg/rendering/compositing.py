@@ -69,7 +69,7 @@ def integrate(
     # would be wrong behind a thick interval.
     log_transmittance = -torch.cat([zero, tau[:, :-1].cumsum(dim=1)], dim=1)
     weights = log_transmittance.exp() * -torch.expm1(-tau)
-    # Equal to the sum of the weights, but with only one rounding of the result.
+    # Equal to the sum of the weights, which rounding may carry above 1.
     opacity = -torch.expm1(-tau.sum(dim=1))
     # Detached: which rays are empty is a choice and has no gradient.
     visible = opacity.detach() >= MIN_OPACITY

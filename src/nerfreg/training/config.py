@@ -16,7 +16,7 @@ HALVED = 1000
 
 @dataclass
 class TrainConfig:
-    """The budget of a run, and what it takes for a step.
+    """The budget of a run, the size of its steps, and what is verified and shown.
 
     Attributes:
         steps: Limit of the number of steps; None: no limit.
