@@ -19,7 +19,8 @@ def test_against_mpmath(tau: float) -> None:
         result = log_alpha(value)
         result.backward()
         assert value.grad is not None
-        # at 80 and beyond exp(-tau) is below the digits of float32, and the exact value is below its normal numbers
+        # From 80 on exp(-tau) is below the precision of float32, and the exact value is below its
+        # normal numbers.
         assert result.item() == pytest.approx(float(exact), rel=tolerance, abs=1e-35)
         assert value.grad.item() == pytest.approx(float(slope), rel=4 * tolerance, abs=1e-35)
 

@@ -1,4 +1,7 @@
-"""What keeps digits: precision of inputs, logarithms of opacities, sums that cancel, exact numbers to compare with."""
+"""Accurate arithmetic: input precision, logarithms of opacities, cancelling sums, exact numbers.
+
+docs/numerics.md says what loses accuracy without these functions, and by how much.
+"""
 
 from __future__ import annotations
 
@@ -11,28 +14,46 @@ from jaxtyping import Float
 from torch import Tensor
 
 MIN_OPACITY = 1e-4
-"""Rays below this opacity are empty: their depth is `far`, and no depth or distribution term counts them."""
+"""Rays below this opacity are empty.
+
+Their depth is `far`, and no term on depth or on the distribution along the ray counts them: both
+are quotients by the opacity and mean nothing where it is almost 0.
+"""
 
 
 def single(x: Float[Tensor, "*any"]) -> Float[Tensor, "*any"]:
-    """Half precision as float32; float32 and float64 as they are."""
+    """Return half precision as float32, and float32 and float64 as they are."""
     return x.float() if x.dtype in (torch.float16, torch.bfloat16) else x
 
 
 def double(x: Float[Tensor, "*any"]) -> Float[Tensor, "*any"]:
-    """As float64, where small differences of large numbers count; as float32 on devices that know no float64."""
+    """Return float64, for small differences of large numbers.
+
+    On devices without float64, which is Apple's GPU, the result is float32.
+    """
     return x.float() if x.device.type == "mps" else x.double()
 
 
 def log_alpha(tau: Float[Tensor, "*any"]) -> Float[Tensor, "*any"]:
-    """log(1 - exp(-tau)) for optical thickness tau >= 0, exact for thin and thick.
+    """Return log(1 - exp(-tau)), accurate for thin and for thick intervals.
 
-    Below the smallest normal number tau counts as 0: the result is -inf, with gradient 0, since 1 / tau would overflow.
     The two branches are those of Maechler, "Accurately computing log(1 - exp(-|a|))" (2012).
+
+    Args:
+        tau: Optical thickness, at least 0. Below the smallest normal number it counts as 0.
+
+    Returns:
+        The logarithm of the opacity; -inf, with gradient 0, where tau counts as 0.
     """
     tau = single(tau)
+    # The gradient is about 1 / tau for small tau, which overflows below the smallest normal number.
     positive = tau >= torch.finfo(tau.dtype).tiny
+    # Every branch is computed for all elements, and the gradient of one that `where` discards is
+    # multiplied by 0, which makes NaN of an infinite one. So each branch gets a harmless argument
+    # in place of those that it is not meant for.
     safe = torch.where(positive, tau, torch.ones_like(tau))
+    # Below log 2 the opacity is less than 1/2 and 1 - exp(-tau) cancels, which expm1 avoids; above
+    # it the opacity is close to 1 and its logarithm is close to 0, which log1p resolves.
     thin = safe < math.log(2)
     one = torch.ones_like(safe)
     log_thin = torch.log(-torch.expm1(-torch.where(thin, safe, one)))
@@ -42,10 +63,19 @@ def log_alpha(tau: Float[Tensor, "*any"]) -> Float[Tensor, "*any"]:
 
 @torch.no_grad()
 def one_minus_sum(x: Float[Tensor, "rays samples"]) -> Float[Tensor, " rays"]:
-    """1 - sum x of each row, (R,), exact where the sum is almost 1; no gradient.
+    """Return 1 - sum x of each row, accurate where the sum is almost 1; without a gradient.
 
-    Added up in pairs; what each addition rounds away (Knuth, The Art of Computer Programming, 4.2.2) is kept.
+    Terms are added in pairs, and what each addition rounds away is added up separately (two-sum;
+    Knuth, The Art of Computer Programming, volume 2, section 4.2.2).
+
+    Args:
+        x: (R, N) terms.
+
+    Returns:
+        (R,) the differences.
     """
+    # The 1 is a term like the others. Subtracted at the end, it would meet a sum that has already
+    # been rounded to 1.
     total = torch.cat([x.new_ones(len(x), 1), -x], dim=1)
     lost = torch.zeros_like(total)
     while total.shape[1] > 1:
@@ -53,22 +83,36 @@ def one_minus_sum(x: Float[Tensor, "rays samples"]) -> Float[Tensor, " rays"]:
             total, lost = (torch.nn.functional.pad(part, (0, 1)) for part in (total, lost))
         a, b = total[:, ::2], total[:, 1::2]
         total = a + b
+        # The two brackets are what is missing of a and of b in the rounded sum. In exact arithmetic
+        # both are 0, so that simplifying this would remove it; it holds for any order of magnitude.
         part = total - a
         lost = lost[:, ::2] + lost[:, 1::2] + ((a - (total - part)) + (b - part))
     return (total + lost)[:, 0]
 
 
 def exact(values: Float[Tensor, "*any"]) -> Any:
-    """The numbers of a tensor as (nested lists of) mpmath numbers, for `nerfreg_reference`."""
+    """Return the numbers of a tensor as (nested lists of) mpmath numbers.
+
+    `nerfreg_reference` computes its exact values from these.
+    """
 
     def convert(value: Any) -> Any:
         return [convert(item) for item in value] if isinstance(value, list) else mpmath.mpf(value)
 
+    # Every number of a smaller type is also a float64, so that nothing is rounded here.
     return convert(values.detach().double().tolist())
 
 
 def not_finite(name: str, values: Tensor) -> list[str]:
-    """One line with how many of the values, of any shape, are not finite, and the first of them; none if all are."""
+    """Describe the values of a tensor that are not finite.
+
+    Args:
+        name: Name of the tensor, for the message.
+        values: Values of any shape.
+
+    Returns:
+        One line with the number of such values and the first of them; none if all are finite.
+    """
     values = values.detach()
     bad = (~values.isfinite()).nonzero()
     if len(bad) == 0:
@@ -77,6 +121,5 @@ def not_finite(name: str, values: Tensor) -> list[str]:
     first = float(values[place])
     if not place:
         return [f"{name} is {first}"]
-    return [
-        f"{name}: {len(bad)} of {values.numel()} values not finite, the first at {list(place)}: {first}"
-    ]
+    count = f"{len(bad)} of {values.numel()} values not finite"
+    return [f"{name}: {count}, the first at {list(place)}: {first}"]

@@ -14,8 +14,9 @@ SPEEDS = (0.0, 1e-12, 1e-4, 1.0, 50.0, 1e6, 1e30)
 
 
 def test_two_slabs_by_hand() -> None:
-    # Edges 0, 1, 3; densities ln 2 and ln 2 / 2: each slab halves the light. Weights 1/2, 1/4; opacity 3/4;
-    # depth (1/2 * 0.5 + 1/4 * 2) / (3/4) = 1; colour 1/2 red + 1/4 green + 1/4 of a blue background.
+    # Edges 0, 1, 3; densities ln 2 and ln 2 / 2: each slab halves the light. Weights 1/2, 1/4;
+    # opacity 3/4; depth (1/2 * 0.5 + 1/4 * 2) / (3/4) = 1; colour 1/2 red + 1/4 green + 1/4 of a
+    # blue background.
     sigma = torch.tensor([[math.log(2), math.log(2) / 2]])
     rgb = torch.tensor([[[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]])
     result = composite(sigma, rgb, torch.tensor([[0.0, 1.0, 3.0]]), torch.tensor([0.0, 0.0, 1.0]))

@@ -8,7 +8,7 @@ import torch
 from nerfreg.rendering.sampling import edges_between, equal_shares, importance, merge, stratified
 
 
-def test_strata_without_chance_are_their_midpoints() -> None:
+def test_strata_without_a_generator_give_their_midpoints() -> None:
     t = stratified(torch.tensor([1.0]), torch.tensor([5.0]), 4)
     torch.testing.assert_close(t, torch.tensor([[1.5, 2.5, 3.5, 4.5]]))
 
@@ -39,8 +39,8 @@ def test_edges_lie_halfway_and_end_at_the_bounds() -> None:
 
 
 def test_importance_samples_follow_the_weights() -> None:
-    # Intervals [0,1], [1,2], [2,4] with weights 1, 3, 0: a quarter of the samples in the first, the rest in the
-    # second; the floor of 1e-5 is too small to be seen among 8 samples.
+    # Intervals [0,1], [1,2], [2,4] with weights 1, 3, 0: a quarter of the samples in the first, the
+    # rest in the second; the floor of 1e-5 is too small to be seen among 8 samples.
     edges, weights = torch.tensor([[0.0, 1.0, 2.0, 4.0]]), torch.tensor([[1.0, 3.0, 0.0]])
     t = importance(edges, weights, 8)
     # u = 1/16, 3/16, 5/16, ...: t = 4u in the first, 1 + (u - 1/4) * 4/3 in the second
@@ -71,7 +71,8 @@ def test_merge_tells_where_each_came_from() -> None:
 
 
 def test_equal_shares_run_from_end_to_end() -> None:
-    # Weights 1, 3, 0 in [0,1], [1,2], [2,4]: quarters end at 1, 4/3, 5/3 and, all weight being spent, 4.
+    # Weights 1, 3, 0 in [0,1], [1,2], [2,4]: quarters end at 1, 4/3, 5/3 and, all weight being
+    # spent, 4.
     edges, weights = torch.tensor([[0.0, 1.0, 2.0, 4.0]]), torch.tensor([[1.0, 3.0, 0.0]])
     cuts, begins = equal_shares(edges, weights, 4)
     torch.testing.assert_close(

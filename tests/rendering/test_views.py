@@ -87,11 +87,12 @@ def test_the_ball_is_seen_where_the_camera_projects_it() -> None:
     assert torch.equal(view.rgb[0, 0], torch.ones(3)) and view.opacity[0, 0] < 1e-6
 
 
-def test_a_strided_image_holds_every_so_manieth_pixel() -> None:
+def test_a_strided_image_holds_every_nth_pixel() -> None:
     there = scene()
     renderer = ViewRenderer(Ball(there.box), SamplerConfig(16, 16), there)
     whole, part = renderer.view(there.cameras, 0), renderer.view(there.cameras, 0, 5)
-    # The intervals follow the pixels around, which are others: at the rim a ray may just meet the ball or just miss it.
+    # The intervals follow the pixels around, which are others: at the rim a ray may just meet the
+    # ball or just miss it.
     same = (part.rgb - whole.rgb[::5, ::5]).abs().amax(dim=-1) < 1e-5
     assert same.float().mean() > 0.98
     torch.testing.assert_close(part.depth[same], whole.depth[::5, ::5][same], rtol=0, atol=0.05)
@@ -119,7 +120,8 @@ def test_what_lies_behind_something_opaque_is_not_looked_at() -> None:
     renderer.occupancy.occupied.fill_(True)
     renderer.view(there.cameras, there.test[0])
     hit = ball_depth(there).isfinite().float().mean()
-    # Of 64 intervals of a ray that meets the ball less than half lie before it or in its first tenth.
+    # Of 64 intervals of a ray that meets the ball less than half lie before it or in its first
+    # tenth.
     assert renderer.points < 48 * 48 * (64 / 16 + 64 * (1 - 0.4 * hit))
     assert renderer.colors < renderer.points
 
@@ -139,7 +141,8 @@ class BallBeforeWall(Ball):
 
 
 def test_past_the_rim_of_something_the_rest_is_seen() -> None:
-    # A scout that meets the ball is stopped by it, and some pixels of its block look past the ball, at the wall.
+    # A scout that meets the ball is stopped by it, and some pixels of its block look past the ball,
+    # at the wall.
     there = scene()
     field = BallBeforeWall(there.box, there.cameras.poses[there.test[0], :, 3])
     views = [
@@ -155,7 +158,7 @@ def test_past_the_rim_of_something_the_rest_is_seen() -> None:
 
 
 def ball_depth(there: Scene) -> torch.Tensor:
-    """Distance (H, W) at which the rays of the first test view meet the ball, infinite where they do not."""
+    """Distance (H, W) at which the rays of the first test view meet the ball, or infinity."""
     y, x = torch.meshgrid(torch.arange(48), torch.arange(48), indexing="ij")
     pixels = torch.stack([x, y], dim=-1).view(-1, 2)
     origins, directions = there.cameras.rays(torch.full((48 * 48,), there.test[0]), pixels)

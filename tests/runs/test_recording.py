@@ -1,4 +1,4 @@
-"""A step on disk: the same rays, weights and chance come back, and other files are refused."""
+"""A step on disk: rays, weights and RNG state come back, and other files are refused."""
 
 from __future__ import annotations
 
@@ -32,8 +32,11 @@ def saved(
 ) -> tuple[Trainer, list, Path]:
     """A trainer, the terms of its step 2, which was left out, and the file of that step."""
     words = (PLUGINS, "reg.faulty.steps=[2]", "reg.faulty.way=gradient", "seed=5")
-    config = compose("scene.size=24", "sampler.coarse=16", "sampler.fine=16", "field.levels=4", "field.finest=64",
-                     "field.log2_entries=12", *words)  # fmt: skip
+    small = (
+        "scene.size=24", "sampler.coarse=16", "sampler.fine=16", "field.levels=4",
+        "field.finest=64", "field.log2_entries=12",
+    )  # fmt: skip
+    config = compose(*small, *words)
     trainer = make(*words, guard=Guard(StepRecorder(tmp_path, config), lambda line: None))
     terms = [trainer.step() for _ in range(3)][-1]
     return trainer, terms, tmp_path / "nonfinite" / "step_000002.safetensors"
@@ -90,7 +93,7 @@ def test_a_damaged_file(tmp_path: Path) -> None:
 def test_weights_are_no_step(tmp_path: Path) -> None:
     path = tmp_path / "field.safetensors"
     save_file({"grid.table": torch.zeros(2)}, path)
-    with pytest.raises(NerfregError, match="is no step that training saved"):
+    with pytest.raises(NerfregError, match="not a step saved by training"):
         replay(path)
 
 
@@ -107,5 +110,7 @@ def test_a_plugin_whose_layers_have_changed(
     saved: tuple[Trainer, list, Path], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(Lipschitz, "nerfreg_layer", hookimpl(lambda self: None))
-    with pytest.raises(NerfregError, match="its weights do not fit the plugins as they are now"):
+    with pytest.raises(
+        NerfregError, match="its weights do not fit the plugins that are installed now"
+    ):
         replay(saved[2])

@@ -1,4 +1,4 @@
-"""A run from the command line's point of view: what it leaves, and what can be done with it afterwards."""
+"""A run by the command line: what it leaves, and what can be done with it afterwards."""
 
 from __future__ import annotations
 
@@ -14,8 +14,9 @@ import pytest
 from nerfreg.cli import main
 
 SMALL = [
-    "scene.size=32", "scene.views=3", "scene.test_views=2", "field.levels=4", "field.finest=64", "sampler.coarse=16",
-    "sampler.fine=16", "field.log2_entries=12", "train.rays=128", "train.steps=20", "train.quiet=true", "eval.count=3",
+    "scene.size=32", "scene.views=3", "scene.test_views=2", "field.levels=4", "field.finest=64",
+    "sampler.coarse=16", "sampler.fine=16", "field.log2_entries=12", "train.rays=128",
+    "train.steps=20", "train.quiet=true", "eval.count=3",
 ]  # fmt: skip
 
 
@@ -29,8 +30,9 @@ def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 def test_a_run_leaves_what_the_design_lists(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
     results = json.loads((run / "results.json").read_text())
     wanted = {
-        "psnr", "ssim", "lpips", "average", "depth_rmse", "step", "train_seconds", "points_per_second",
-        "peak_memory_mb", "seed", "regularizers", "views", "scene", "versions", "skipped_steps",
+        "psnr", "ssim", "lpips", "average", "depth_rmse", "step", "train_seconds",
+        "points_per_second", "peak_memory_mb", "seed", "regularizers", "views", "scene", "versions",
+        "skipped_steps",
     }  # fmt: skip
     assert wanted <= set(results)
     assert results["skipped_steps"] == 0 and not (run / "nonfinite").exists()
@@ -52,9 +54,13 @@ def test_a_run_leaves_what_the_design_lists(run: Path, capsys: pytest.CaptureFix
 
 
 def test_one_thread_means_one_in_a_new_process() -> None:
-    """Whatever numba does to the number that torch has when it starts its own threads."""
-    script = "import numba, torch; from nerfreg.config.schema import Config; from nerfreg.runs.load import prepare;"
-    script += "c = Config(); c.device = 'cpu'; c.train.threads = 1; prepare(c); print(torch.get_num_threads(), numba.get_num_threads())"
+    """Numba may change torch's number when it starts threads of its own."""
+    script = (
+        "import numba, torch; from nerfreg.config.schema import Config; "
+        "from nerfreg.runs.load import prepare; "
+        "c = Config(); c.device = 'cpu'; c.train.threads = 1; prepare(c); "
+        "print(torch.get_num_threads(), numba.get_num_threads())"
+    )
     made = subprocess.run(
         [sys.executable, "-c", script], capture_output=True, text=True, check=True
     )
@@ -70,7 +76,7 @@ def test_evaluating_the_checkpoint_again_gives_the_same_scores(run: Path) -> Non
     assert after["step"] == 20 and after["regularizers"] == before["regularizers"]
 
 
-def test_a_film_along_an_orbit(run: Path) -> None:
+def test_a_video_along_an_orbit(run: Path) -> None:
     assert main(["render", str(run), "path=orbit", "frames=3"]) == 0
     for name in ("orbit_color.gif", "orbit_depth.gif"):
         assert iio.imread(run / "renders" / name).shape[:3] == (3, 32, 32)

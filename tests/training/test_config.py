@@ -46,7 +46,8 @@ def test_no_memory_at_all_is_fine() -> None:
 
 
 def test_a_step_keeps_the_limit_that_the_docstring_promises() -> None:
-    # Cauchy and Schwarz hold with equality for gradients that grow by beta2 / beta1 from step to step
+    # The Cauchy-Schwarz inequality is an equality for gradients that grow by beta2 / beta1 in every
+    # step.
     config = OptimConfig()
     b1, b2 = config.beta1, config.beta2
     limit = config.lr * (1 - b1) / math.sqrt((1 - b2) * (1 - b1**2 / b2))
@@ -58,7 +59,6 @@ def test_a_step_keeps_the_limit_that_the_docstring_promises() -> None:
         weight.grad = torch.tensor([1e-10 * (b2 / b1) ** step])
         adam.step()
         moves.append(abs(weight.item() - before))
-    assert moves[-1] == pytest.approx(
-        limit, rel=0.02
-    )  # Adam's own correction for young averages is 1.01 then
+    # Adam's bias correction is 1.01 then.
+    assert moves[-1] == pytest.approx(limit, rel=0.02)
     assert max(moves) < 1.02 * limit

@@ -1,4 +1,4 @@
-"""Learning rates and sizes of the world far beyond what anybody means: nothing that is not finite reaches a weight."""
+"""Extreme learning rates and scales of the scene: all weights stay finite."""
 
 from __future__ import annotations
 

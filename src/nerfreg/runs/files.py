@@ -1,4 +1,4 @@
-"""The files in a run's folder, by name."""
+"""Names of the files and folders in a run's folder."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ from typing import Any
 from nerfreg.files import append_json_line, write_json
 
 METRICS = "metrics.jsonl"
-"""One line for each evaluation."""
+"""One line for each evaluation, in JSON."""
 RESULTS = "results.json"
-"""The last evaluation, and what the run was."""
+"""The last evaluation, and a description of the run."""
 RENDERS = "renders"
-"""Folder of the pictures of test views."""
+"""Folder with pictures of test views."""
 RECORDED_STEPS = "nonfinite"
-"""Folder of the steps that were left out because they were not finite."""
+"""Folder of the steps that training left out because they were not finite."""
 FAILED = "failed.json"
 """Why a job of a sweep has no results."""
 

@@ -19,15 +19,27 @@ RenderView = Callable[[int], View]
 
 
 def strided(field: RadianceField, config: Config, scene: Scene) -> RenderView:
-    """Return a function that renders every `eval.pixels_stride`-th row and column of a view."""
+    """Return a function that renders every `eval.pixels_stride`-th row and column of a view.
+
+    Args:
+        field: The trained field, which must not change while the function is in use.
+        config: Configuration of the run.
+        scene: Its scene.
+    """
     renderer = ViewRenderer(field, config.sampler, scene)
     return lambda view: renderer.view(scene.cameras, view, config.eval.pixels_stride)
 
 
 def saving(field: RadianceField, config: Config, scene: Scene, run: Path) -> RenderView:
-    """Return a function that renders views at full size.
+    """Return a function that renders views at full size, and saves pictures of some.
 
-    It saves pictures of as many test views as `eval.save_renders` says, in RUN/renders.
+    The pictures of as many test views as `eval.save_renders` says go to RUN/renders.
+
+    Args:
+        field: The trained field, which must not change while the function is in use.
+        config: Configuration of the run.
+        scene: Its scene.
+        run: The run's folder.
     """
     renderer = ViewRenderer(field, config.sampler, scene)
     count = config.eval.save_renders
@@ -43,7 +55,14 @@ def saving(field: RadianceField, config: Config, scene: Scene, run: Path) -> Ren
 
 
 def save_view(folder: Path, scene: Scene, view: int, rendered: View) -> None:
-    """Save colour, depth, photograph and error of a view beside each other as PNG."""
+    """Save colour, depth, photograph and error of a view side by side as PNG.
+
+    Args:
+        folder: Where the picture is saved, under the name of the view.
+        scene: The scene, for the photograph and the range of the depth.
+        view: Index of the view in the scene.
+        rendered: The rendered view, at full size.
+    """
     picture = side_by_side(
         rendered.rgb,
         rendered.depth,

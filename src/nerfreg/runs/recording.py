@@ -1,4 +1,9 @@
-"""A step that could not be used, as a file: safetensors that need neither the scene nor the folder of the run."""
+"""The file of a step that training left out because its loss or a gradient was not finite.
+
+A safetensors file with the rays, the weights and the state of the random generator; its metadata
+hold the configuration, the position in the run and what was not finite. It is all that is needed to
+render the step again (`nerfreg.runs.replay`), without the scene and the folder of the run.
+"""
 
 from __future__ import annotations
 
@@ -25,12 +30,22 @@ from nerfreg.runs.files import RECORDED_STEPS
 from nerfreg.training.faults import Fault
 
 FORMAT = "nerfreg-step-1"
+"""Name and version of the format, in the metadata."""
 KEPT = 3
+"""Number of files that a run keeps: as many as the steps in a row that end a run."""
 
 
 @dataclass(frozen=True)
 class Recording:
-    """weights: those of the field before the step, by name. box: that of the scene. faults: what was not finite."""
+    """A step that training left out.
+
+    Attributes:
+        config: Configuration of the run.
+        batch: The rays of the step, without a renderer.
+        weights: Weights of the field before the step, by name.
+        box: (2, 3) corners of the scene's box.
+        faults: What was not finite.
+    """
 
     config: Config
     batch: Batch
@@ -40,9 +55,15 @@ class Recording:
 
 
 class StepRecorder:
-    """Saves steps of a run in RUN/nonfinite, each whole or not at all, and keeps the latest; clears older runs'."""
+    """Saves steps of a run in RUN/nonfinite, each whole or not at all, and keeps the latest."""
 
     def __init__(self, run: Path, config: Config) -> None:
+        """Remove the steps of earlier runs in the same folder.
+
+        Args:
+            run: The run's folder.
+            config: Its configuration.
+        """
         self._folder = run / RECORDED_STEPS
         self._config = config
         self._drop_all_but(0)
@@ -50,7 +71,21 @@ class StepRecorder:
     def save(
         self, batch: Batch, field: RadianceField, box: Float[Tensor, "2 3"], faults: Sequence[Fault]
     ) -> Path:
-        """Save one step, with the weights of the field as they are."""
+        """Save one step.
+
+        Args:
+            batch: The rays of the step.
+            field: The field, with its weights before the step.
+            box: (2, 3) corners of the scene's box.
+            faults: What was not finite.
+
+        Returns:
+            The file.
+
+        Raises:
+            NerfregError: The file cannot be written.
+        """
+        # Zeros make the order of names that of steps, by which the latest are kept.
         path = self._folder / f"step_{batch.step.index:06d}.safetensors"
         _write(path, self._config, batch, field.state_dict(), box, faults)
         self._drop_all_but(KEPT)
@@ -74,7 +109,7 @@ def _write(
         f"rays.{name}": part for name, part in vars(batch.rays).items() if isinstance(part, Tensor)
     }
     tensors = {**rays, **{f"field.{name}": tensor for name, tensor in weights.items()}}
-    # Files of format 1 call the state of the generator so.
+    # In format 1 the state of the generator has this name.
     tensors |= {"box": box, "chance": batch.rng_state}
     step = {key: getattr(batch.step, key) for key in ("index", "total", "fraction", "bounds")}
     metadata = {
@@ -83,7 +118,7 @@ def _write(
         "step": json.dumps(step),
         "faults": json.dumps([fault.what for fault in faults]),
     }
-    # Cloned, because rays may be views of one another, which the format does not know.
+    # Cloned, because rays may share memory with one another, which safetensors refuses.
     whole = {
         name: tensor.detach().cpu().clone(memory_format=torch.contiguous_format)
         for name, tensor in tensors.items()
@@ -93,19 +128,26 @@ def _write(
 
 
 def load_recording(path: Path) -> Recording:
-    """Read such a file. Raises NerfregError for what is none, and where its plugins are not installed."""
+    """Read the file of a step.
+
+    Raises:
+        NerfregError: The file is missing, damaged or of another kind, or plugins of its run are not
+            installed.
+    """
     if not path.is_file():
         raise NerfregError(
-            f"{path}: no such file; training saves steps that are not finite in RUN/nonfinite"
+            f"{path}: no such file; training saves the steps that it leaves out in RUN/nonfinite"
         )
     try:
         with safe_open(path, "pt") as file:
             metadata = file.metadata() or {}
-            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 (not a dictionary)
+            # `file` is not a dictionary and cannot be iterated over.
+            names = file.keys()
+            tensors = {name: file.get_tensor(name) for name in names}
     except (SafetensorError, OSError) as error:
         raise NerfregError(f"{path}: cannot be read: {str(error).splitlines()[0]}") from error
     if metadata.get("format") != FORMAT:
-        raise NerfregError(f"{path}: is no step that training saved (its format is not '{FORMAT}')")
+        raise NerfregError(f"{path}: not a step saved by training (its format is not '{FORMAT}')")
     saved = OmegaConf.create(metadata["config"])
     assert isinstance(saved, DictConfig)
     step = json.loads(metadata["step"])

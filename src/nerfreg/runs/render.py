@@ -24,6 +24,9 @@ def render_run(
         frames: Number of frames of a video.
         fps: Frames per second.
         format: "mp4" or "gif".
+
+    Raises:
+        NerfregError: There is no run, its plugins are not installed, or its weights do not fit.
     """
     config, scene, field, _ = load_run(run)
     renderer = ViewRenderer(field, config.sampler, scene)

@@ -1,4 +1,4 @@
-"""A step that training left out, rendered again: which term is not finite, on which rays and samples."""
+"""Render a step that training left out again, and show what is not finite: terms, rays, samples."""
 
 from __future__ import annotations
 
@@ -16,19 +16,27 @@ from nerfreg.field import RadianceField
 from nerfreg.hooks import Rendering
 from nerfreg.registry import Hooks, Term
 from nerfreg.rendering.renderer import Renderer
-from nerfreg.runs.recording import load_recording
+from nerfreg.runs.recording import Recording, load_recording
 from nerfreg.training.faults import Fault, faults_of
 from nerfreg.training.loss import label, loss_terms
 
 SHOWN = 5
-"""Rays that are listed."""
+"""Number of rays that are listed."""
 
 
 def replay(path: Path) -> int:
-    """Render the step saved in `path` again, on the CPU, and print what is not finite.
+    """Render a saved step again, on the CPU, and print what is not finite.
 
-    Returns 1 if anything is not, 0 if all is finite with the plugins as they are installed now. Raises NerfregError
-    for a file that is no such step.
+    The plugins are those that are installed now, so that a repaired plugin can be tried.
+
+    Args:
+        path: A file of RUN/nonfinite, or a copy of it.
+
+    Returns:
+        The exit code: 1 if anything is not finite, else 0.
+
+    Raises:
+        NerfregError: The file is not such a step, or its weights do not fit the plugins.
     """
     recording = load_recording(path)
     config, batch = recording.config, recording.batch
@@ -39,26 +47,32 @@ def replay(path: Path) -> int:
     except RuntimeError as error:
         reason = str(error).splitlines()[0]
         raise NerfregError(
-            f"{path}: its weights do not fit the plugins as they are now: {reason}"
+            f"{path}: its weights do not fit the plugins that are installed now: {reason}"
         ) from error
     again = batch.again(Renderer(field, config.sampler, hooks))
     rendering = again.render()
     terms = loss_terms(rendering, hooks, again.step)
     faults = faults_of(rendering, terms, field)
+    _report(recording, rendering, terms, faults)
+    return 1 if faults else 0
 
+
+def _report(
+    recording: Recording, rendering: Rendering, terms: Sequence[Term], faults: Sequence[Fault]
+) -> None:
+    batch = recording.batch
+    # Soft wrapping leaves lines whole where the output is not a terminal.
     console = Console(markup=False, highlight=False, soft_wrap=True)
-    console.print(
-        f"step {batch.step.index} of {batch.step.total}, {len(batch.rays)} rays, left out for"
-    )
-    console.print(f"  {', '.join(recording.faults) or 'something that was not found'}")
+    place = f"step {batch.step.index} of {batch.step.total}, {len(batch.rays)} rays"
+    console.print(f"{place}, left out because of")
+    console.print(f"  {', '.join(recording.faults) or 'a fault that was not found again'}")
     console.print(_term_table(terms, faults))
     for fault in faults:
         console.print(f"{fault.what}: {fault.detail}")
     if faults:
         console.print(_sample_table(rendering, _gradient(rendering, terms)))
     else:
-        console.print("all is finite now")
-    return 1 if faults else 0
+        console.print("everything is finite now")
 
 
 def _term_table(terms: Sequence[Term], faults: Sequence[Fault]) -> Table:
@@ -66,7 +80,8 @@ def _term_table(terms: Sequence[Term], faults: Sequence[Fault]) -> Table:
     table = Table("term", "weight", "value", "gradient", box=None, pad_edge=False)
     for term in terms:
         if f"value of {label(term)}" in broken:
-            verdict = "not looked at"
+            # The gradient of such a value means nothing.
+            verdict = "not checked"
         else:
             verdict = "NOT FINITE" if f"gradient of {label(term)}" in broken else "finite"
         table.add_row(label(term), f"{term.weight:g}", f"{float(term.value.detach()):g}", verdict)
@@ -74,7 +89,10 @@ def _term_table(terms: Sequence[Term], faults: Sequence[Fault]) -> Table:
 
 
 def _gradient(rendering: Rendering, terms: Sequence[Term]) -> Float[Tensor, "rays samples"]:
-    """Gradient of the whole loss with respect to the density; where a term is at fault it is not finite."""
+    """Return the gradient of the loss with respect to the density, term by term.
+
+    It is not finite at the samples where a term's gradient is not.
+    """
     total = torch.zeros_like(rendering.density)
     for term in terms:
         if term.value.requires_grad and rendering.density.requires_grad:
@@ -86,10 +104,13 @@ def _gradient(rendering: Rendering, terms: Sequence[Term]) -> Float[Tensor, "ray
 
 
 def _sample_table(rendering: Rendering, gradient: Float[Tensor, "rays samples"]) -> Table:
-    """The first sample of each ray where the rendering or the gradient of the density is not finite."""
+    """Return a table of the first sample at fault on each ray."""
     suspects = _suspects(rendering, gradient)
     rays = suspects.any(dim=1).nonzero()[:, 0]
-    title = f"{int(suspects.sum())} samples on {len(rays)} of {len(suspects)} rays; the first on each ray"
+    title = (
+        f"{int(suspects.sum())} samples on {len(rays)} of {len(suspects)} rays; "
+        "the first on each ray"
+    )
     columns = ("ray", "sample", "t", "density", "weight", "depth", "d loss / d density")
     table = Table(
         *columns, box=None, pad_edge=False, title=title, title_justify="left", title_style=""
@@ -110,6 +131,7 @@ def _sample_table(rendering: Rendering, gradient: Float[Tensor, "rays samples"])
 def _suspects(
     rendering: Rendering, gradient: Float[Tensor, "rays samples"]
 ) -> Bool[Tensor, "rays samples"]:
+    # Depth and colour belong to a whole ray, all of whose samples are then suspects.
     fine = (
         gradient.isfinite()
         & rendering.depth.isfinite()[:, None]

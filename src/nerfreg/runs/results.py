@@ -1,4 +1,4 @@
-"""What is recorded of a run: scores, costs, what it was, and the versions that it ran with."""
+"""What is recorded of a run: scores, costs, its configuration, and versions of what it ran with."""
 
 from __future__ import annotations
 
@@ -31,13 +31,14 @@ def evaluation_record(
     Args:
         state: Where the run stands.
         scene: Its scene.
-        scores: Of the views that were evaluated.
-        terms: Of the loss of the last step.
+        scores: Scores of the views that were evaluated.
+        terms: Terms of the loss of the last step.
     """
     return {
         "step": state.step,
         "train_seconds": round(state.train_seconds, 3),
         "points": state.points,
+        # The time is measured without compilation and might be 0 in a very short run.
         "points_per_second": state.points / max(state.train_seconds, 1e-9),
         "skipped_steps": state.skipped_steps,
         **scores.record(),
@@ -47,7 +48,7 @@ def evaluation_record(
 
 
 def description(config: Config, scene: Scene) -> dict[str, Any]:
-    """Return what a table needs to know of a run besides its scores."""
+    """Return what tables need to know of a run besides its scores."""
     grid = ("levels", "base", "finest", "log2_entries")
     return {
         "scene": scene.name,
@@ -67,7 +68,7 @@ def description(config: Config, scene: Scene) -> dict[str, Any]:
 
 
 def losses(terms: Sequence[Term]) -> dict[str, Tensor]:
-    """Return the unweighted terms by name; a plugin with several names them `plugin.term`."""
+    """Return the unweighted terms of a loss, by their labels."""
     return {label(term): term.value for term in terms}
 
 
@@ -98,7 +99,7 @@ def summary(results: dict[str, Any]) -> Iterator[str]:
 
 
 def view_label(scene: Scene, view: int) -> str:
-    """Return the name of a view as part of a file name."""
+    """Return the name of a view in a form that can be part of a file name."""
     return scene.labels[view].replace("/", "_") if scene.labels else f"view_{view}"
 
 

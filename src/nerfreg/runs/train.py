@@ -29,17 +29,24 @@ from nerfreg.training.trainer import Trainer
 
 
 def train(config: Config, folder: Path) -> dict[str, Any]:
-    """Train, score at log-spaced times, and leave a whole run in `folder`.
+    """Train, score at times evenly spaced on a logarithmic scale, and leave a run in `folder`.
 
-    While the run lasts a fixed subset of the test views is scored, on some of their pixels; at the
-    end all of them, at full size. Neither changes how the run goes on.
+    During the run a fixed subset of the test views is scored, on some of their pixels; at the end
+    all of them, at full size. Neither affects the training.
+
+    Args:
+        config: Configuration of the run.
+        folder: Its folder; what an earlier run has left there is replaced.
 
     Returns:
         What `results.json` holds.
 
     Raises:
-        NonFiniteError: Too many steps in a row had a loss or gradient that is not finite.
+        NonFiniteError: Too many steps in a row had a loss or gradient that is not finite; the
+            checkpoint of the last good weights is saved.
+        NerfregError: The configuration does not fit the scene or this machine.
     """
+    # Must come before large tensors are allocated.
     keep_large_blocks()
     scene = load_scene(config.scene)
     config = replace(config, field=fitted(config.field, scene))
@@ -53,7 +60,8 @@ def train(config: Config, folder: Path) -> dict[str, Any]:
     )
     if hooks.depth_tellers:
         tellers = ", ".join(hooks.depth_tellers)
-        progress.message(f"{tellers}: looking at {len(scene.train)} photographs")
+        # This may take a while, before the first step and thus before the bar.
+        progress.message(f"{tellers}: analysing {len(scene.train)} photographs")
     trainer = Trainer(
         scene,
         hooks,
@@ -65,9 +73,11 @@ def train(config: Config, folder: Path) -> dict[str, Any]:
         device,
         Guard(StepRecorder(folder, config), progress.warning),
     )
+    # Metrics are appended to, and must not go on from those of an earlier run in this folder.
     (folder / METRICS).unlink(missing_ok=True)
     with progress:
         terms = _loop(trainer, config, folder, lpips, progress)
+        # Saved before scoring, which takes minutes and can be repeated by `nerfreg evaluate`.
         _save(folder, trainer)
         progress.message(f"scoring {len(scene.test)} test views")
         with trainer.average.applied():
@@ -85,7 +95,7 @@ def train(config: Config, folder: Path) -> dict[str, Any]:
 def _loop(
     trainer: Trainer, config: Config, folder: Path, lpips: LPIPS | None, progress: Progress
 ) -> list[Term]:
-    """Spend the budget; returns the terms of the last step."""
+    """Spend the budget, and return the terms of the last step."""
     scene, budget = trainer.scene, trainer.budget
     due = list(config.eval.times(config.train.seconds, config.train.steps))
     subset = subset_of(scene.test, config.eval.subset_size)
@@ -95,13 +105,16 @@ def _loop(
         try:
             terms = trainer.step()
         except NonFiniteError:
-            # What was learned before the fault can still be looked at.
+            # The weights from before the fault are good and can still be evaluated.
             _save(folder, trainer)
             raise
         progress.update(budget.step, budget.fraction, losses(terms), psnr)
+        # The evaluation at the end is that of all views and is made by the caller. A long step may
+        # pass several times at once, which are then scored once.
         if due[0] <= budget.fraction < 1:
             due = [share for share in due if share > budget.fraction]
             with trainer.average.applied():
+                # A new renderer each time, whose occupancy grid belongs to the present weights.
                 render = strided(trainer.field, config, scene)
                 scores = score_views(scene, subset, render, lpips, config.eval.pixels_stride)
             psnr = scores.psnr
@@ -118,7 +131,7 @@ def _append(
 
 
 def _save(folder: Path, trainer: Trainer) -> None:
-    # The averaged weights, because these are evaluated.
+    # The averaged weights, because these are the ones that are evaluated.
     with trainer.average.applied():
         save_checkpoint(folder, trainer.field, _state(trainer))
 

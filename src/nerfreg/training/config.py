@@ -1,4 +1,4 @@
-"""How long and with what a run trains."""
+"""Options of training: the budget and the optimizer."""
 
 from __future__ import annotations
 
@@ -8,17 +8,25 @@ from dataclasses import dataclass
 from nerfreg.errors import NerfregError, require_range
 
 LARGEST = 1e6
+"""Upper limit of `optim.lr` and `optim.decay`, far beyond any useful one."""
 
 HALVED = 1000
-"""Steps of a run at whose end the learning rate is half of the first."""
+"""Number of steps of a run at whose end the learning rate is half of the initial one."""
 
 
 @dataclass
 class TrainConfig:
-    """steps, seconds: the budget, whichever is spent first; schedules follow the share of it that is spent.
+    """The budget of a run, the size of its steps, and what is verified and shown.
 
-    rays: training rays in each step. threads: CPU threads; None: all (a sweep is faster with one job a core).
-    quiet: no progress bar. check: look at what every hook returns, in every `check_every`-th step.
+    Attributes:
+        steps: Limit of the number of steps; None: no limit.
+        seconds: Limit of the training time, in seconds; None: no limit. The run ends when the
+            first of both limits is reached, and schedules follow the share that is spent.
+        rays: Training rays in each step.
+        threads: CPU threads; None: all. A sweep is faster with one job per core.
+        quiet: Show no progress.
+        check: Verify what every hook returns, in every `check_every`-th step.
+        check_every: Distance between the steps that are verified.
     """
 
     steps: int | None = 3000
@@ -35,15 +43,27 @@ class TrainConfig:
 
 @dataclass
 class OptimConfig:
-    """Adam, its learning rate decaying exponentially to `decay` times the first.
+    """Adam (Kingma and Ba 2015) with an exponentially decaying learning rate.
 
-    decay: None makes it 1 / (1 + steps / 1000), of the steps of the whole run: a tenth after 9000, as in the authors'
-    program, and more in a run that is too short to settle. ema: decay of the moving average of the weights that is
-    evaluated and saved; 0 switches it off.
+    If beta1^2 < beta2, which is demanded, one step moves a weight by at most about
 
-    One step moves a weight by about lr (1 - beta1) / sqrt((1 - beta2) (1 - beta1^2 / beta2)) at most, 2.4 lr by default
-    (by Cauchy and Schwarz), whatever the gradients were, if beta1^2 < beta2. Hence this is demanded, and a limit to
-    lr: then no gradient whose square is finite makes a weight that is not.
+        lr (1 - beta1) / sqrt((1 - beta2) (1 - beta1^2 / beta2))
+
+    whatever the gradients were: apart from its bias correction, Adam divides a sum of gradients by
+    the root of a sum of their squares, and the Cauchy-Schwarz inequality bounds the quotient. For
+    the default values this is 2.4 lr. As `lr` is limited as well, no gradient whose square is
+    finite can make a weight that is not.
+
+    Attributes:
+        lr: Initial learning rate.
+        beta1: Decay of Adam's average of the gradient.
+        beta2: Decay of Adam's average of its square.
+        eps: Added by Adam to the root of that average.
+        decay: Learning rate at the end of the run relative to the initial one; None:
+            1 / (1 + steps / 1000) for the steps of the whole run, which is a tenth after 9000
+            steps, as in the program of CombiNeRF's authors, and more in a shorter run.
+        ema: Decay of the moving average of the weights, which is what is evaluated and saved; 0
+            switches it off.
     """
 
     lr: float = 1e-2
@@ -54,15 +74,27 @@ class OptimConfig:
     ema: float = 0.95
 
     def __post_init__(self) -> None:
-        tame, below_one = (1e-20, LARGEST), (0, 0.9999)
-        require_range("optim", self, lr=tame, eps=(1e-20, math.inf), decay=tame)
+        positive, below_one = (1e-20, LARGEST), (0, 0.9999)
+        require_range("optim", self, lr=positive, eps=(1e-20, math.inf), decay=positive)
         require_range("optim", self, beta1=below_one, beta2=below_one, ema=below_one)
+        # Otherwise the sum behind the bound above diverges, and a step may be arbitrarily long.
+        # With beta1 = 0 there is no sum: a step is at most lr / sqrt(1 - beta2) long.
         if self.beta1 > 0 and self.beta1**2 >= self.beta2:
             raise NerfregError(
-                f"optim.beta1={self.beta1}: its square must be below optim.beta2={self.beta2}, or steps have no limit"
+                f"optim.beta1={self.beta1}: its square must be below optim.beta2={self.beta2}, "
+                "or the length of a step has no bound"
             )
 
     def rate(self, fraction: float, steps: int) -> float:
-        """The learning rate when that share is spent of a budget that has so many steps."""
+        """Return the learning rate of a step.
+
+        Args:
+            fraction: Share of the budget that is spent, 0 to 1.
+            steps: Number of steps of the whole run.
+        """
+        # A short run loses sharpness if it slows down as much as a long one: on held-out views
+        # 0.3 was best after about 2300 steps, and no better than 0.1 after 7000
+        # (docs/performance.md).
         last = 1 / (1 + steps / HALVED) if self.decay is None else self.decay
-        return self.lr * last**fraction
+        rate: float = self.lr * last**fraction
+        return rate

@@ -1,4 +1,4 @@
-"""Losses and gradients that are not finite: that there is one, and where it comes from."""
+"""Losses and gradients that are not finite: whether there are any, and where they come from."""
 
 from __future__ import annotations
 
@@ -19,7 +19,12 @@ from nerfreg.training.loss import label, loss_terms, total_loss
 
 @dataclass(frozen=True)
 class Fault:
-    """what: "value of kl", "gradient of kl", "value of rendering.density". detail: how many numbers, and which."""
+    """Something that is not finite.
+
+    Attributes:
+        what: For example "value of kl", "gradient of kl" or "value of rendering.density".
+        detail: How many numbers are not finite, and the first of them.
+    """
 
     what: str
     detail: str
@@ -29,10 +34,14 @@ class Fault:
 
 
 def usable(total: Tensor, parameters: Iterable[nn.Parameter]) -> bool:
-    """Whether the loss is finite, and so are all gradients and their squares, which Adam averages.
+    """Return whether a step can be applied.
 
-    One pass over each gradient: a finite sum of squares has nothing but finite squares in it. Only where it is not
-    finite, which may be the sum alone, is every element looked at.
+    The loss, all gradients and their squares have to be finite: Adam averages the squares, and an
+    infinite average would never become finite again and stop the weight for the rest of the run.
+
+    Args:
+        total: The loss.
+        parameters: The trained weights, with their gradients.
     """
     return bool(total.isfinite()) and all(
         _squares_finite(p.grad) for p in parameters if p.grad is not None
@@ -40,7 +49,7 @@ def usable(total: Tensor, parameters: Iterable[nn.Parameter]) -> bool:
 
 
 def value_faults(terms: Sequence[Term]) -> list[Fault]:
-    """The terms whose value is not finite."""
+    """Return the terms whose value is not finite."""
     values = [(label(term), float(term.value.detach())) for term in terms]
     return [
         Fault(f"value of {name}", str(value)) for name, value in values if not math.isfinite(value)
@@ -48,10 +57,12 @@ def value_faults(terms: Sequence[Term]) -> list[Fault]:
 
 
 def rendering_faults(rendering: Rendering) -> list[Fault]:
-    """The parts of rays and rendering that are not finite, in the order in which they are computed."""
+    """Return the tensors of rays and rendering that are not finite."""
+    # The fields are declared in the order in which they are computed, so that the first fault is
+    # the nearest to the cause.
     return [
-        Fault(f"value of {room}.{field.name}", line)
-        for room, whole in (("rays", rendering.rays), ("rendering", rendering))
+        Fault(f"value of {owner}.{field.name}", line)
+        for owner, whole in (("rays", rendering.rays), ("rendering", rendering))
         for field in fields(whole)
         if isinstance(part := getattr(whole, field.name), Tensor)
         for line in not_finite(field.name, part)
@@ -59,9 +70,19 @@ def rendering_faults(rendering: Rendering) -> list[Fault]:
 
 
 def gradient_faults(terms: Sequence[Term], field: nn.Module) -> Iterator[Fault]:
-    """The terms whose value is finite and whose weighted gradient, alone, is not; first the weights that it breaks."""
+    """Yield the terms whose value is finite but whose gradient is not.
+
+    Args:
+        terms: Terms whose graphs are still there. Each is differentiated alone and weighted, since
+            a weight may be what makes a gradient overflow.
+        field: The module whose parameters are differentiated by.
+
+    Yields:
+        One fault per term, which tells of the first parameter whose gradient is not finite.
+    """
     names, parameters = zip(*field.named_parameters(), strict=True)
     for term in terms:
+        # A value that is not finite has no meaningful gradient, and is a fault of its own.
         if not (term.value.requires_grad and term.value.isfinite()):
             continue
         gradients = torch.autograd.grad(
@@ -74,9 +95,16 @@ def gradient_faults(terms: Sequence[Term], field: nn.Module) -> Iterator[Fault]:
 
 
 def faults_of(rendering: Rendering, terms: Sequence[Term], field: nn.Module) -> list[Fault]:
-    """What is not finite in a rendered step, what comes first in a step first."""
+    """Return what is not finite in a rendered step, in the order in which a step computes it.
+
+    Args:
+        rendering: The rendering.
+        terms: The terms of its loss, whose graphs are still there.
+        field: The field that was rendered.
+    """
     faults = [*rendering_faults(rendering), *value_faults(terms), *gradient_faults(terms, field)]
     if not faults:
+        # Gradients that are finite one by one may overflow in their sum.
         together = "all terms together"
         faults = list(gradient_faults([Term(together, together, 1.0, total_loss(terms))], field))
     return faults
@@ -85,19 +113,31 @@ def faults_of(rendering: Rendering, terms: Sequence[Term], field: nn.Module) -> 
 def find_faults(
     batch: Batch, terms: Sequence[Term], renderer: Renderer, hooks: Hooks
 ) -> list[Fault]:
-    """What is not finite in a batch whose terms have been `terms`.
+    """Return what is not finite in a batch, which is rendered again to find out.
 
-    Renders the batch again; plugins see it a second time.
+    The hooks of the plugins are called a second time.
+
+    Args:
+        batch: The batch.
+        terms: Its terms in training.
+        renderer: Renders the batch again, apart from the one that counts the points of training.
+        hooks: The hooks of the run.
     """
+    # The backward pass of the step has freed its graph, so that gradients of single terms need a
+    # new one.
     again = batch.again(renderer)
     rendering = again.render()
     found = faults_of(rendering, loss_terms(rendering, hooks, again.step), renderer.field)
+    # A plugin that is random or keeps state may be finite the second time, so that the values of
+    # the first time count as well; each fault is named once.
     faults = [*found, *value_faults(terms)]
     return list({fault.what: fault for fault in faults}.values())
 
 
 def _squares_finite(gradient: Tensor) -> bool:
     flat = gradient.detach().reshape(-1)
+    # One pass, without a temporary tensor: if the sum of squares is finite, so is every square.
+    # Only if it is not, which may be due to the sum alone, each element is looked at.
     return bool(flat.dot(flat).isfinite()) or bool(flat.square().isfinite().all())
 
 

@@ -1,4 +1,7 @@
-"""What becomes of a step whose loss or gradient is not finite: it is left out, named and saved; three end the run."""
+"""What becomes of a step whose loss or gradient is not finite.
+
+It is left out, named and saved; three in a row end the run.
+"""
 
 from __future__ import annotations
 
@@ -18,38 +21,57 @@ from nerfreg.rendering.renderer import Renderer
 from nerfreg.training.faults import Fault, find_faults
 
 LIMIT = 3
-"""So many steps in a row that cannot be used end the run."""
+"""Number of consecutive steps that cannot be used after which the run ends."""
 
 
 @runtime_checkable
-class Recorder(Protocol):
-    """Keeps a step for later."""
+class FaultRecorder(Protocol):
+    """Saves steps that cannot be used; `nerfreg.runs.recording.StepRecorder` is one."""
 
     def save(
         self, batch: Batch, field: RadianceField, box: Float[Tensor, "2 3"], faults: Sequence[Fault]
-    ) -> Path: ...
+    ) -> Path:
+        """Save a step.
+
+        Args:
+            batch: The rays of the step.
+            field: The field, with its weights before the step.
+            box: (2, 3) corners of the scene's box.
+            faults: What was not finite.
+
+        Returns:
+            The file.
+        """
 
 
 def to_stderr(line: str) -> None:
+    """Print a line to standard error."""
     print(line, file=sys.stderr)
 
 
 class Guard:
-    """Counts the steps that were left out, and says why.
+    """Counts the steps that were left out, and reports why.
 
-    skipped: how many there were. recorder: keeps them; None: nobody does. report: takes a line about each.
+    Attributes:
+        skipped: Number of steps that were left out.
     """
 
     def __init__(
-        self, recorder: Recorder | None = None, report: Callable[[str], None] = to_stderr
+        self, recorder: FaultRecorder | None = None, report: Callable[[str], None] = to_stderr
     ) -> None:
+        """Make a guard of one run.
+
+        Args:
+            recorder: Saves the steps; None: they are not saved.
+            report: Called with one line about each.
+        """
         self.skipped = 0
         self._in_a_row = 0
         self._recorder = recorder
         self._report = report
 
     def passed(self) -> None:
-        """A step was used."""
+        """Note that a step was used."""
         self._in_a_row = 0
 
     def refused(
@@ -60,9 +82,17 @@ class Guard:
         hooks: Hooks,
         box: Float[Tensor, "2 3"],
     ) -> None:
-        """A step with these terms was left out, for want of a finite loss or gradient.
+        """Report and save a step that was left out.
 
-        Raises NonFiniteError if it is the third in a row.
+        Args:
+            batch: The rays of the step.
+            terms: The terms of its loss.
+            renderer: Renders the batch again, to find what is not finite.
+            hooks: The hooks of the run.
+            box: (2, 3) corners of the scene's box.
+
+        Raises:
+            NonFiniteError: It is the third in a row.
         """
         self.skipped += 1
         self._in_a_row += 1
@@ -72,14 +102,18 @@ class Guard:
         if self._recorder is not None:
             path = self._recorder.save(batch, renderer.field, box, faults)
             advice = f"see nerfreg check --replay {path}"
+        # The weights have not changed and the rays were others each time, so that the next step is
+        # unlikely to fare better.
         if self._in_a_row == LIMIT:
-            raise NonFiniteError(f"{line}; the {LIMIT}rd in a row ends the run; {advice}")
+            raise NonFiniteError(
+                f"{line}; this is the {LIMIT}rd in a row and ends the run; {advice}"
+            )
         self._report(f"{line}; {advice}")
 
 
 def _in_words(faults: Sequence[Fault]) -> str:
     if not faults:
-        return "loss or gradient not finite, but all of it is when the step is rendered again"
+        return "loss or gradient not finite, but finite when the step is rendered again"
     first, *others = faults
     more = f", and {', '.join(fault.what for fault in others)}" if others else ""
-    return f"{first.what} not finite ({first.detail}){more}"
+    return f"{first.what} is not finite ({first.detail}){more}"

@@ -16,22 +16,26 @@ COLOR = "color"
 
 
 def loss_terms(rendering: Rendering, hooks: Hooks, step: Step) -> list[Term]:
-    """All terms, unweighted, the colour error first."""
+    """Return all terms of a loss, unweighted, the colour error first."""
     return [Term(COLOR, COLOR, 1.0, color_error(rendering)), *hooks.losses(rendering, step)]
 
 
 def total_loss(terms: Sequence[Term]) -> Float[Tensor, ""]:
-    """Sum of weight times value."""
+    """Return the sum of weight times value."""
     return torch.stack([term.weight * term.value for term in terms]).sum()
 
 
 def label(term: Term) -> str:
-    """What a term is called in reports: `plugin.term`, or the plugin's name alone where both are the same."""
+    """Return a term's name in reports: `plugin.term`, or the plugin's if the term has the same."""
     return term.name if term.name == term.plugin else f"{term.plugin}.{term.name}"
 
 
 def color_error(rendering: Rendering) -> Float[Tensor, ""]:
-    """Mean squared error of the rays that have a target, weighted by `Rays.target_weights`."""
+    """Return the mean squared error of the rays that have a target.
+
+    Each ray is weighted by `Rays.target_weights`, where there are any.
+    """
     rays = rendering.rays
+    # Rays with a target come first; extra neighbours and unseen views follow them.
     errors = (rendering.rgb[: len(rays.targets)] - rays.targets).square().mean(dim=1)
     return errors.mean() if rays.target_weights is None else (rays.target_weights * errors).mean()

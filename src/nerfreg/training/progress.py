@@ -1,4 +1,4 @@
-"""What a run says while it trains: a live bar on a terminal, plain lines elsewhere."""
+"""Progress of a run: a live bar on a terminal, plain lines elsewhere."""
 
 from __future__ import annotations
 
@@ -14,20 +14,23 @@ from rich.table import Table
 from rich.text import Text
 
 REFRESH_SECONDS = 0.2
+"""Shortest time between two redrawings of the bar."""
 FIRST_LINE_SECONDS = 2.0
+"""Time before the first plain line."""
 LINE_GROWTH = 1.5
+"""Each plain line comes after this many times the time of the one before."""
 LONGEST_SILENCE_SECONDS = 60.0
+"""Longest time between two plain lines."""
 
 
 class Progress:
-    """Shows step, steps per second, time left, PSNR and loss terms of a run.
+    """Shows step, steps per second, remaining time, PSNR and loss terms of a run.
 
         with Progress(quiet=False) as progress:
             progress.update(step, fraction, {"color": loss}, psnr)
 
-    On a terminal a bar is redrawn at most five times a second. Elsewhere lines come after 2 s, 3 s, 4.5 s ..., at
-    least one a minute, and one at the end. Between these, `update` reads the clock and nothing else: no thread runs
-    beside the training, and tensors among the terms are turned into numbers only when they are shown.
+    On a terminal a bar is redrawn at most five times a second. Elsewhere lines are printed after
+    2 s, 3 s, 4.5 s ..., at least one a minute, and one at the end.
     """
 
     def __init__(
@@ -36,6 +39,13 @@ class Progress:
         console: Console | None = None,
         clock: Callable[[], float] = time.perf_counter,
     ) -> None:
+        """Prepare to show progress; nothing is shown before the context is entered.
+
+        Args:
+            quiet: Show nothing but warnings.
+            console: Where to show it; None: on standard error.
+            clock: Returns the time in seconds.
+        """
         self._console = console or Console(stderr=True)
         self._clock = clock
         self._quiet = quiet
@@ -51,6 +61,7 @@ class Progress:
             REFRESH_SECONDS if self._console.is_terminal else FIRST_LINE_SECONDS
         )
         if self._console.is_terminal and not self._quiet:
+            # No automatic refresh, because its thread would compete with training.
             self._live = Live(console=self._console, auto_refresh=False)
             self._live.start()
         return self
@@ -74,21 +85,32 @@ class Progress:
         terms: Mapping[str, SupportsFloat],
         psnr: float | None = None,
     ) -> None:
-        """Tell what has been done: steps, the share of the budget, the latest loss terms and PSNR. Call every step."""
+        """Note what has been done, and show it if it is time; called after every step.
+
+        Args:
+            step: Number of steps done.
+            fraction: Share of the budget that is spent, 0 to 1.
+            terms: Terms of the loss of the last step, by name.
+            psnr: The latest PSNR on test views, in dB; None: there is none yet.
+        """
         if self._quiet:
             return
+        # Terms are kept as tensors and turned into numbers only when they are shown, since that
+        # waits for the device. Between two showings a call only reads the clock.
         self._latest = (step, fraction, terms, psnr)
         now = self._clock()
         if now >= self._due:
             self._show(now)
 
     def message(self, text: str) -> None:
-        """Say something above the bar."""
+        """Print a line above the bar, unless the run is quiet."""
         if not self._quiet:
             self.warning(text)
 
     def warning(self, text: str) -> None:
-        """Say something above the bar, in a quiet run too."""
+        """Print a line above the bar, in a quiet run too."""
+        # Brackets in overrides such as reg=[kl] are not rich's markup, and a line that is wrapped
+        # could not be found by a search.
         self._console.print(text, highlight=False, markup=False, soft_wrap=True)
 
     def _show(self, now: float) -> None:
@@ -115,7 +137,8 @@ class Progress:
             )
 
     def _measure_rate(self, step: int, now: float) -> None:
-        """Steps per second since the last showing, smoothed on a terminal, where showings are close together."""
+        """Measure steps per second since the last showing."""
+        # On a terminal showings are close together and the rate would flicker, so it is smoothed.
         if now > self._rate_since and step > self._rate_step:
             rate = (step - self._rate_step) / (now - self._rate_since)
             self._rate = (

@@ -22,9 +22,22 @@ from nerfreg.training.loss import loss_terms, total_loss
 
 
 class Trainer:
-    """Trains a field on a scene under the plugins of `hooks`.
+    """Trains a field on a scene.
 
-    Randomness comes from the seed alone: the same seed, machine and number of threads give the same weights.
+    The same seed, machine and number of threads give the same weights.
+
+    Attributes:
+        scene: The scene.
+        hooks: The hooks of the active plugins.
+        optim: Options of the optimizer.
+        generator: The run's source of randomness, on the CPU.
+        field: The field that is trained.
+        renderer: Renders the rays of each step.
+        batches: Draws the rays of each step.
+        optimizer: Adam.
+        average: Moving average of the weights.
+        budget: How much of the run is done.
+        guard: Counts and reports steps that were left out.
     """
 
     def __init__(
@@ -39,7 +52,24 @@ class Trainer:
         device: torch.device | None = None,
         guard: Guard | None = None,
     ) -> None:
+        """Build the field, and let the plugins prepare.
+
+        Args:
+            scene: The scene.
+            hooks: The hooks of the active plugins.
+            field: Options of the field.
+            sampler: Options of the sampler.
+            optim: Options of the optimizer.
+            train: The budget.
+            seed: Seed of all randomness.
+            device: Where the field is trained; None: on the CPU.
+            guard: Treats steps that are not finite; None: reports them and saves none.
+
+        Raises:
+            NerfregError: The budget has no end, or preparation has spent all of it.
+        """
         device = device or torch.device("cpu")
+        # Layers are initialized from PyTorch's global generator, all else is drawn from ours.
         torch.manual_seed(seed)
         self.scene = scene
         self.hooks = hooks
@@ -48,6 +78,7 @@ class Trainer:
         self.field = RadianceField(field, scene.box, hooks.layer).to(device)
         self.renderer = Renderer(self.field, sampler, hooks)
         self.batches = RayBatches(scene, train.rays, device, self.generator)
+        # Fused: one pass over weights, gradient and moments, since memory bandwidth limits it.
         self.optimizer = torch.optim.Adam(
             self.field.parameters(),
             lr=optim.lr,
@@ -59,47 +90,61 @@ class Trainer:
         self.budget = Budget(train)
         self.guard = guard or Guard()
         self.warm_up()
+        # What a plugin finds out about the photographs before the first step is training time.
         with self.budget.prepare():
             self.batches.known_depth = hooks.known_depth(self.batches.photographs)
         if self.budget.fraction >= 1:
             raise NerfregError(
-                f"train.seconds={train.seconds:g}: was spent before the first step, "
-                f"on {self.budget.seconds:.1f} s of what the plugins do beforehand; give more"
+                f"train.seconds={train.seconds:g}: was spent before the first step, because the "
+                f"plugins prepared for {self.budget.seconds:.1f} s; set a larger value"
             )
 
     def warm_up(self) -> None:
         """Compile what a step runs, so that no step has to wait for it."""
+        # A gradient of the positions is asked for, so that the kernels for it are compiled too.
         probe = self.scene.box.mean(dim=0).to(self.field.center).expand(8, 3).requires_grad_()
         self.field.raw_density(probe).sum().backward()
         self.field.zero_grad(set_to_none=True)
 
     def step(self) -> list[Term]:
-        """Train one step; returns the terms of its loss, unweighted.
+        """Train one step.
 
-        A loss or gradient that is not finite changes neither the weights nor what Adam and the moving average
-        remember. Raises NonFiniteError if that happens three times in a row.
+        If the loss or a gradient is not finite, the step changes neither the weights nor the state
+        of Adam and the moving average.
+
+        Returns:
+            The terms of the loss, unweighted and detached.
+
+        Raises:
+            NonFiniteError: This was the third step in a row that was not finite.
         """
         with self.budget.spend():
             step = self._step()
             batch = Batch.of(self.batches.draw(self.hooks.needs(step)), step)
             terms = loss_terms(batch.render(), self.hooks, step)
             total = total_loss(terms)
+            # Gradients are set to None and not to 0, so that a parameter that is not used in this
+            # step costs nothing.
             self.optimizer.zero_grad(set_to_none=True)
             total.backward()
             finite = usable(total.detach(), self.field.parameters())
             if finite:
                 self._apply(step)
+        # Detached, so that whoever keeps the terms does not keep the graph of the step.
         terms = [Term(term.plugin, term.name, term.weight, term.value.detach()) for term in terms]
         if finite:
             self.guard.passed()
         else:
             self.optimizer.zero_grad(set_to_none=True)
+            # Another renderer, because rendering to find the fault is no training and must not add
+            # to `renderer.points`. It also stays outside of the budget's clock.
             again = Renderer(self.field, self.renderer.sampler, self.hooks)
             self.guard.refused(batch, terms, again, self.hooks, self.scene.box)
         return terms
 
     def _apply(self, step: Step) -> None:
-        # Nothing has to be looked at after this: see OptimConfig for why Adam makes finite weights of such gradients.
+        # The weights need no test after this: see OptimConfig for why gradients whose squares are
+        # finite cannot make a weight that is not.
         for group in self.optimizer.param_groups:
             group["lr"] = self.optim.rate(step.fraction, step.total)
         self.optimizer.step()
