@@ -177,6 +177,8 @@ def test_configuration_has_every_key() -> None:
         assert f"### `scene={name}`" in page
         for key in dataclasses.fields(cls):
             assert f"| `scene.{key.name}` |" in page
+    # Their docstrings have an item for each.
+    assert [line for line in page.splitlines() if line.endswith("|  |")] == []
     for plugin in own_plugins():
         assert plugin.cls is not None
         for key in dataclasses.fields(plugin.cls):
