@@ -27,7 +27,8 @@ from nerfreg.training.trainer import Trainer
 
 SMALL = (
     "scene.size=24", "scene.views=3", "scene.test_views=1", "field.levels=4", "field.finest=64",
-    "field.log2_entries=12", "sampler.coarse=16", "sampler.fine=16", "train.rays=128", "train.steps=40",
+    "field.log2_entries=12", "sampler.coarse=16", "sampler.fine=16", "train.rays=128",
+    "train.steps=40",
 )  # fmt: skip
 
 
@@ -135,7 +136,7 @@ def faulty(monkeypatch: pytest.MonkeyPatch) -> type[Faulty]:
 
 @pytest.fixture
 def make(compose: Callable[..., Config]) -> Callable[..., Trainer]:
-    """A trainer of a small configuration, its plugins under `hooks`, on a scene that `change` has changed."""
+    """Make a trainer of a small configuration, on a scene that `change` has changed."""
 
     def make(
         *overrides: str,

@@ -1,7 +1,7 @@
-"""Weights and losses of short runs, held across commits: a change that is meant to change nothing must change nothing.
+"""Weights and losses of short runs, held across commits.
 
-The values in `golden.json` are made by `python tests/test_golden.py`. Record them anew only in a commit that is meant
-to change what training computes, and say so in its message.
+The values in `golden.json` are made by `python tests/test_golden.py`. Record them anew only in a
+commit that is meant to change what training computes, and say so in its message.
 """
 
 from __future__ import annotations
@@ -20,8 +20,9 @@ from nerfreg.cli import main
 GOLDEN = Path(__file__).with_name("golden.json")
 CONF = Path(__file__).parents[1] / "conf"
 TINY = (
-    "scene.size=32", "scene.test_views=1", "train.steps=24", "train.rays=96", "train.quiet=true", "train.threads=1",
-    "sampler.coarse=12", "sampler.fine=12", "field.levels=4", "field.finest=64", "field.log2_entries=11",
+    "scene.size=32", "scene.test_views=1", "train.steps=24", "train.rays=96", "train.quiet=true",
+    "train.threads=1", "sampler.coarse=12", "sampler.fine=12", "field.levels=4", "field.finest=64",
+    "field.log2_entries=11",
     "eval.lpips=false", "eval.count=1", "eval.save_renders=0",
 )  # fmt: skip
 PRESETS = sorted(path.stem for path in (CONF / "reg").glob("*.yaml"))
@@ -40,8 +41,8 @@ CASES = {
     },
 }
 TOLERANCE = 1e-3
-"""Relative. Sums are added in another order where a processor has other vector instructions, and two dozen steps of
-Adam carry such differences on; changes of an algorithm are far above it."""
+"""Relative. Sums are added in another order where a processor has other vector instructions, and
+two dozen steps of Adam amplify such differences; changes of an algorithm are far above it."""
 
 
 def figures(folder: Path, overrides: tuple[str, ...]) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""The shape of the source tree: who imports whom, what lies at the top, and that a name means one thing.
+"""The shape of the source tree: who imports whom, and that a name means one thing.
 
 Imports inside functions and under TYPE_CHECKING count as imports.
 """
@@ -20,10 +20,10 @@ import nerfreg
 SOURCE = Path(nerfreg.__file__).parent
 PLUGINS = Path(nerfreg_plugins.__file__).parent
 ORDER = (
-    "errors", "numerics", "files", "scenes", "hooks", "rays", "field", "registry", "rendering", "training",
-    "evaluation", "config", "runs", "analysis",
+    "errors", "numerics", "files", "scenes", "hooks", "rays", "field", "registry", "rendering",
+    "training", "evaluation", "config", "runs", "analysis",
 )  # fmt: skip
-"""Packages and root modules in the order in which data passes through them; each imports only those before it."""
+"""In the order in which data passes through them; each imports only those before it."""
 TOOLS = ("sweeps", "checks", "prune", "reports", "bench")
 """These import everything in `ORDER`, and no other tool."""
 ROOT_MODULES = 8
@@ -109,7 +109,7 @@ def test_a_class_name_means_one_thing() -> None:
 
 def test_package_is_imported_without_torch(environment: dict[str, str]) -> None:
     code = (
-        "import sys, nerfreg, nerfreg.cli; from nerfreg.cli.parser import make_parser; make_parser();"
+        "import sys, nerfreg.cli; from nerfreg.cli.parser import make_parser; make_parser();"
         "sys.exit('torch' in sys.modules or 'hydra' in sys.modules)"
     )
     assert subprocess.run([sys.executable, "-c", code], env=environment).returncode == 0

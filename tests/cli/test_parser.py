@@ -1,4 +1,4 @@
-"""The one parser: what it reads, what it refuses, and that every bench has the sizes that its options set."""
+"""The one parser: what it reads and refuses, and that options of benches are fields of sizes."""
 
 from __future__ import annotations
 

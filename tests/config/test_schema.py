@@ -53,7 +53,7 @@ def test_every_shipped_file_says_what_it_is_for(path: Path) -> None:
 def test_the_papers_settings(
     compose, name: str, scene: str, rays: int, steps: int, levels: int
 ) -> None:
-    """Nothing is skipped: 64 + 128 samples, 2^19 entries to 2048, whatever the photographs could fill."""
+    """64 + 128 samples and 2^19 entries to 2048, whatever the photographs could fill."""
     config = compose(f"+experiment={name}", "+reg=combinerf")
     assert config.scene.format == scene and config.scene.views == {"llff": 3, "blender": 8}[scene]
     assert (config.train.rays, config.train.steps, config.train.seconds) == (rays, steps, None)
