@@ -1,4 +1,4 @@
-"""What the plots of all benches have in common: colours, axes, slopes to compare with, and how they are written."""
+"""How every figure looks and is written: colours, panels, guides, files."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 from nerfreg.files import atomic
 
@@ -14,92 +14,160 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-PALETTE = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
-"""Of Okabe and Ito (2008): told apart by all kinds of colour vision."""
-MARKERS = ("o", "s", "^", "D", "v", "P", "X")
-GUIDE = "#7a7a7a"
-DPI = 160
+PALETTE = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")
+"""Of Okabe and Ito (2008): told apart by all kinds of colour vision.
+
+Black and yellow of the same palette are left out: they vanish on a dark and on a light page. Lower
+case, as matplotlib writes colours to SVG, since a page replaces them there by its own.
+"""
+MARKERS = ("o", "s", "^", "D", "v", "p", "<", ">", "h", "d")
+DASHES: tuple[Any, ...] = ("solid", (0, (5, 1.6)), (0, (5, 1.5, 1, 1.5)))
+INK, GUIDE, FAINT, GRID = "#1b1f24", "#6b7280", "#a3a9b2", "#e4e6e9"
+"""Text; axes, notes and guides; what stands back; the grid."""
+DPI = 200
 
 
 @dataclass(frozen=True)
 class Style:
-    """How one of the things that are compared is drawn, and what the legend calls it."""
+    """How one of the things that are compared is drawn.
+
+    Attributes:
+        label: What the legend calls it.
+        color: Of its line and marker.
+        marker: As matplotlib names it.
+        dash: Line style, as matplotlib takes it.
+    """
 
     label: str
     color: str
     marker: str
+    dash: Any = "solid"
 
 
 def styles(labels: Sequence[str]) -> list[Style]:
-    """A colour and a marker for each."""
+    """Return a style for each label, all different up to thirty of them."""
     return [
-        Style(label, PALETTE[index % len(PALETTE)], MARKERS[index % len(MARKERS)])
+        Style(
+            label,
+            PALETTE[index % len(PALETTE)],
+            MARKERS[index % len(MARKERS)],
+            DASHES[index // len(PALETTE) % len(DASHES)],
+        )
         for index, label in enumerate(labels)
     ]
 
 
 @contextmanager
 def panels(
-    rows: int, columns: int, width: float, height: float
+    rows: int,
+    columns: int | Sequence[float],
+    width: float,
+    height: float,
+    scale: Literal["linear", "log"] = "log",
+    text: float = 9.5,
 ) -> Iterator[tuple[Figure, list[list[Axes]]]]:
-    """A figure of log-log panels, its size in inches, in the style of all benches, which holds inside the block."""
+    """Yield a figure and its panels by row and column, in a style that holds inside the block.
+
+    Args:
+        rows: Number of panels above each other.
+        columns: Number of panels beside each other, or their widths relative to each other.
+        width: Of the figure in inches.
+        height: Of the figure in inches.
+        scale: Of both axes.
+        text: Size of the text in points.
+    """
     from matplotlib import rc_context
     from matplotlib.figure import Figure
+    from matplotlib.layout_engine import ConstrainedLayoutEngine
 
-    style: Any = {
-        "font.size": 9.5,
-        "axes.titlesize": 10.5,
-        "axes.labelsize": 9.5,
-        "xtick.labelsize": 8.5,
-        "ytick.labelsize": 8.5,
+    style: dict[Any, Any] = {
+        "font.size": text,
+        "figure.titlesize": text + 1,
+        "axes.titlesize": text + 0.5,
+        "axes.labelsize": text,
+        "xtick.labelsize": text - 0.5,
+        "ytick.labelsize": text - 0.5,
+        "legend.fontsize": text - 0.5,
+        "legend.handlelength": 2.6,
+        "text.color": INK,
+        "axes.labelcolor": INK,
+        "axes.titlecolor": INK,
+        "xtick.color": INK,
+        "ytick.color": INK,
+        "axes.edgecolor": GUIDE,
+        "axes.linewidth": 0.7,
+        "xtick.major.width": 0.7,
+        "ytick.major.width": 0.7,
         "axes.spines.top": False,
         "axes.spines.right": False,
-        "lines.linewidth": 1.4,
-        "lines.markersize": 4.0,
+        "axes.facecolor": "none",
+        "figure.facecolor": "white",
+        "lines.linewidth": 1.5,
+        "lines.markersize": 5.0,
+        # Text stays text, and identical figures are written as identical bytes.
         "svg.fonttype": "none",
         "svg.hashsalt": "nerfreg",
     }
     with rc_context(style):
-        figure = Figure(figsize=(width, height), layout="constrained")
-        axes = figure.subplots(rows, columns, squeeze=False)
+        figure = Figure(figsize=(width, height), layout=ConstrainedLayoutEngine(w_pad=0.07))
+        widths = [1.0] * columns if isinstance(columns, int) else columns
+        axes = figure.subplots(rows, len(widths), squeeze=False, width_ratios=widths)
         for panel in axes.flat:
-            panel.set_xscale("log")
-            panel.set_yscale("log")
-            panel.grid(color="#e8e8e8", linewidth=0.6)
+            panel.set_xscale(scale)
+            panel.set_yscale(scale)
+            panel.grid(color=GRID, linewidth=0.6)
             panel.set_axisbelow(True)
         yield figure, axes.tolist()
 
 
-def slope(panel: Axes, place: tuple[float, float], factor: int, power: int, label: str) -> None:
-    """A dashed line of y ~ x^power over a factor in x, with its label at the end.
+def curve(panel: Axes, x: Sequence[float], y: Sequence[float], style: Style) -> None:
+    """Draw a line with a marker at every point, named for the legend."""
+    look = {"color": style.color, "linestyle": style.dash, "marker": style.marker}
+    panel.plot(x, y, **look, label=style.label, markeredgewidth=0)
 
-    place: where it begins, in x as a share of the panel's width, in y in units of the data. The limits must be set.
+
+def slope(panel: Axes, place: tuple[float, float], factor: int, power: int, label: str) -> None:
+    """Draw a dashed line of y ~ x^power on log-log axes whose limits are set, its label at its end.
+
+    Args:
+        panel: Where to draw.
+        place: Where it begins: x as a share of the panel's width, y in units of the data.
+        factor: The ratio of x at its ends.
+        power: The exponent.
+        label: What it is called.
     """
     low, high = panel.get_xlim()
     x, y = low * (high / low) ** place[0], place[1]
     end = (x * factor, y * float(factor) ** power)
-    panel.plot(
-        (x, end[0]), (y, end[1]), color=GUIDE, linestyle=(0, (4, 3)), linewidth=1.1, zorder=1
-    )
-    panel.annotate(
-        label,
-        end,
-        xytext=(3, 0),
-        textcoords="offset points",
-        color=GUIDE,
-        fontsize=8.5,
-        va="center",
-    )
+    line: dict[str, Any] = {"linestyle": (0, (4, 3)), "linewidth": 1.1, "zorder": 1}
+    panel.plot((x, end[0]), (y, end[1]), color=GUIDE, **line)
+    beside: dict[str, Any] = {"xytext": (3, 0), "textcoords": "offset points"}
+    panel.annotate(label, end, **beside, color=GUIDE, fontsize=8.5, va="center")
 
 
-def save(figure: Figure, stem: Path) -> list[Path]:
-    """Write STEM.png and STEM.svg; returns both paths."""
-    paths = [stem.with_suffix(".png"), stem.with_suffix(".svg")]
+def save(
+    figure: Figure, stem: Path, suffixes: Sequence[str] = (".png", ".svg"), dpi: float = DPI
+) -> list[Path]:
+    """Write a figure to STEM.png and STEM.svg, and return the paths.
+
+    Raises:
+        NerfregError: A file cannot be written.
+    """
     figure.draw_without_rendering()
     # The layout takes as long as the drawing, and is the same for both.
     figure.set_layout_engine("none")
+    paths = [stem.with_name(f"{stem.name}{suffix}") for suffix in suffixes]
     for path in paths:
         with atomic(path) as part:
             metadata = {"Date": None} if path.suffix == ".svg" else None
-            figure.savefig(part, dpi=DPI, metadata=metadata)
+            figure.savefig(part, dpi=dpi, metadata=metadata)
     return paths
+
+
+def shortened(text: str, length: int) -> str:
+    """Return a text of at most `length` characters.
+
+    What is left out is in the middle, since long names differ at their ends.
+    """
+    head = (length - 1) // 2
+    return text if len(text) <= length else f"{text[:head]}…{text[len(text) - length + 1 + head :]}"

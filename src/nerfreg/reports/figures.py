@@ -1,62 +1,50 @@
-"""The figures of a report, as files: error against run time, the Pareto front, the cost of regularizers."""
+"""The figures of a report: error against run time, and the Pareto front."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Literal
 
-from nerfreg.analysis.pareto import draw_pareto
-from nerfreg.reports.costs import draw_costs
-from nerfreg.reports.curves import draw_curves
-from nerfreg.reports.grouping import by_method, by_setting
+from nerfreg.analysis.figures import styles
+from nerfreg.reports.curves import draw_curves, draw_pareto
 from nerfreg.reports.paper import PaperRow, published
-from nerfreg.reports.records import RunRecord
-from nerfreg.reports.style import COLORED, method_styles
-from nerfreg.reports.timing import costs
-
-Kind = Literal["curves", "pareto", "cost"]
+from nerfreg.reports.records import RunRecord, by_method, by_setting, complete
 
 
 @dataclass(frozen=True)
-class Plot:
-    """name: of its files, without suffix. title: what it shows of which scene. draw: writes them beside each other."""
+class DrawnFigure:
+    """A figure: what it shows, of which setting, and its files, a PNG and an SVG."""
 
-    kind: Kind
-    name: str
+    kind: Literal["curves", "pareto"]
     title: str
-    draw: Callable[[Path], list[Path]]
+    paths: list[Path]
 
 
-def plots(records: Sequence[RunRecord], paper: Sequence[PaperRow] = ()) -> list[Plot]:
-    """What there is to draw: for every scene the curves, the front of more than one method, and what a step costs.
+def draw_figures(
+    runs: Sequence[RunRecord], paper: Sequence[PaperRow], folder: Path
+) -> list[DrawnFigure]:
+    """Draw the curves of every setting, and the front of several methods.
 
-    paper: published numbers, which stand in the curves as lines.
+    Args:
+        runs: Of all settings. A method has the same colour in all of them.
+        paper: Published numbers, which stand in the curves as lines.
+        folder: Where the files go.
+
+    Raises:
+        NerfregError: A file cannot be written.
     """
-    few = len(by_method(records)) <= COLORED
-    found: list[Plot] = []
-    for setting, runs in by_setting(records).items():
-        styles = method_styles(
-            records if few else runs
-        )  # few enough to have the same colours in all scenes
-        scored = [run for run in runs if run.evaluations or run.final is not None]
-        if scored:
-            rows, _ = published(paper, setting, runs)
-            draw = partial(draw_curves, scored, styles, setting.title, published=rows)
-            found.append(Plot("curves", f"curves-{setting.name}", setting.title, draw))
-        complete = [run for run in runs if run.final is not None]
-        if len({run.method for run in complete}) > 1:
-            draw = partial(draw_pareto, complete, styles, setting.title)
-            found.append(Plot("pareto", f"pareto-{setting.name}", setting.title, draw))
-        timed = [cost for cost in costs(complete) if cost.relative is not None]
-        if len({cost.method for cost in timed}) > 1:
-            draw = partial(draw_costs, timed, setting.title)
-            found.append(Plot("cost", f"cost-{setting.name}", setting.title, draw))
-    return found
-
-
-def draw(figures: Sequence[Plot], folder: Path) -> list[Path]:
-    """Draw figures into a folder, PNG and SVG of each. Raises NerfregError where they cannot be written."""
-    return [path for plot in figures for path in plot.draw(folder / plot.name)]
+    looks = {style.label: style for style in styles(list(by_method(runs)))}
+    drawn = []
+    for setting, own in by_setting(runs).items():
+        title = setting.title
+        if any(run.evaluations for run in own):
+            rows, _ = published(paper, setting, own[0].settings)
+            paths = draw_curves(own, looks, title, folder / f"curves-{setting.name}", rows)
+            drawn.append(DrawnFigure("curves", title, paths))
+        ended = complete(own)
+        if len(by_method(ended)) > 1:
+            paths = draw_pareto(ended, looks, title, folder / f"pareto-{setting.name}")
+            drawn.append(DrawnFigure("pareto", title, paths))
+    return drawn

@@ -2,214 +2,143 @@
 
 from __future__ import annotations
 
-import shlex
+import re
+from base64 import b64encode
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+import imageio.v3 as iio
+import matplotlib
 import numpy as np
+from markupsafe import Markup
+from matplotlib.colors import to_hex
 
 from nerfreg import __version__
+from nerfreg.analysis.figures import FAINT, GRID, GUIDE, INK, PALETTE
 from nerfreg.files import write_text
-from nerfreg.reports.axes import duration
-from nerfreg.reports.figures import Plot
-from nerfreg.reports.grouping import by_setting, slug
-from nerfreg.reports.inline import data_uris, themed_svg
-from nerfreg.reports.pictures import Comparison, Crop, Pictures
-from nerfreg.reports.records import RunRecord
-from nerfreg.reports.sheet import DEPTH_MAP, ERROR_MAP, draw_sheets
+from nerfreg.reports.figures import DrawnFigure
+from nerfreg.reports.pictures import ComparedView, Image
+from nerfreg.reports.records import RunRecord, by_setting
+from nerfreg.reports.sheet import DEPTH_MAP, ERROR_MAP
 from nerfreg.reports.tables import Table
+from nerfreg.reports.templates import FOLDER, template
 
-if TYPE_CHECKING:
-    from markupsafe import Markup
-
-TEMPLATE = Path(__file__).parent / "template"
-NAME, SHEETS = "report.html", "pictures"
+NAME = "report.html"
 PICTURE_BUDGET = 12_000_000
 """Characters that all pictures together may take, so that the page stays below 15 MB."""
+ENCODINGS = (("png", None, 1), ("jpeg", 92, 1), ("jpeg", 80, 1), ("jpeg", 80, 2), ("jpeg", 70, 4))
+"""File type, quality, and by what to divide the size of a picture; from the best to the smallest."""
+COLORS = {INK: "ink", GUIDE: "guide", FAINT: "faint", GRID: "grid", "#ffffff": "page"}
+COLORS |= {color: f"series-{index}" for index, color in enumerate(PALETTE)}
+"""Colours of the figures, and the names of those that a page has in their place."""
 
 
-@dataclass(frozen=True)
-class Figure:
-    """A figure on the page. svg: the element, trusted."""
-
-    kind: str
-    title: str
-    svg: Markup
-
-
-@dataclass(frozen=True)
-class Picture:
-    """What a method makes of a view, as data URIs. psnr: as text; "" of the photograph."""
-
-    method: str
-    psnr: str
-    color: str
-    detail: str
-    error: str
-    depth: str
-
-
-@dataclass(frozen=True)
-class View:
-    """A view with the pictures of all methods. crop: the frame of the detail, as CSS. aspect: width over height."""
-
-    name: str
-    title: str
-    photograph: Picture
-    methods: tuple[Picture, ...]
-    crop: str
-    scale: str
-    aspect: float
-
-
-@dataclass(frozen=True)
-class Run:
-    """A run as the page lists it. state: "complete", "failed", or how far it has come. reason: why it failed."""
-
-    method: str
-    setting: str
-    seed: int
-    state: str
-    reason: str
-    folder: str
-    command: str
-
-
-def write(
-    records: Sequence[RunRecord],
+def write_page(
+    runs: Sequence[RunRecord],
     tables: Sequence[Table],
-    figures: Sequence[Plot],
-    pictures: Pictures,
+    figures: Sequence[DrawnFigure],
+    compared: Sequence[ComparedView],
+    notes: Sequence[str],
     folder: Path,
 ) -> Path:
-    """Write FOLDER/report.html, and what it shows of test views as sheets in FOLDER/pictures; returns the page.
+    """Write FOLDER/report.html.
 
-    figures: as `nerfreg.reports.figures.draw` has put them into the folder. pictures: of the test views to show.
-    Raises NerfregError where a file cannot be written.
+    Args:
+        runs: All of them.
+        tables: Those of scores and costs.
+        figures: What has been drawn.
+        compared: The test views to show.
+        notes: On what is not shown of test views.
+        folder: Where the report goes.
+
+    Returns:
+        The path of the page.
+
+    Raises:
+        NerfregError: It cannot be written.
     """
-    from jinja2 import Environment, FileSystemLoader, StrictUndefined
-    from markupsafe import Markup
-
-    draw_sheets(pictures.comparisons, folder / SHEETS)
-    environment = Environment(
-        loader=FileSystemLoader(TEMPLATE),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    environment.filters["slug"] = slug
-    parts = {
-        path.name: Markup(path.read_text(encoding="utf-8"))
-        for path in TEMPLATE.iterdir()
-        if path.suffix != ".j2"
-    }
-    text = environment.get_template("report.html.j2").render(
-        parts=parts,
+    images = {key: image for view in compared for key, image in _images(view).items()}
+    encoded = data_uris(list(images.values()), PICTURE_BUDGET)
+    # Styles and scripts are ours, and need no escapes.
+    parts = [path for path in FOLDER.iterdir() if path.suffix in (".css", ".js")]
+    text = template("report.html.j2").render(
+        parts={path.name: Markup(path.read_text(encoding="utf-8")) for path in parts},
         version=__version__,
         tables=tables,
-        figures=[_figure(plot, folder) for plot in figures],
-        views=_views(pictures.comparisons),
-        notes=pictures.notes,
-        runs=[_run(record) for record in records],
-        settings=[setting.title for setting in by_setting(records)],
-        methods=len({record.method for record in records}),
+        figures=[(figure, _svg(figure.paths[-1])) for figure in figures],
+        views=compared,
+        images=dict(zip(images, encoded, strict=True)),
+        notes=notes,
+        runs=runs,
+        settings=[setting.title for setting in by_setting(runs)],
+        methods=len({run.method for run in runs}),
         error_map=_gradient(ERROR_MAP),
         depth_map=_gradient(DEPTH_MAP),
     )
-    path = folder / NAME
-    write_text(path, text)
-    return path
+    write_text(folder / NAME, text)
+    return folder / NAME
 
 
-def _figure(plot: Plot, folder: Path) -> Figure:
-    from markupsafe import Markup
+def themed_svg(text: str, name: str) -> str:
+    """Return the `svg` element of a file by matplotlib in the colours of the page.
 
-    svg = (folder / f"{plot.name}.svg").read_text(encoding="utf-8")
-    return Figure(plot.kind, plot.title, Markup(themed_svg(svg, plot.name)))
-
-
-def _views(comparisons: Sequence[Comparison]) -> list[View]:
-    images = [image for comparison in comparisons for image in _images(comparison)]
-    encoded = iter(data_uris(images, PICTURE_BUDGET))
-    return [
-        _view(comparison, [next(encoded) for _ in _images(comparison)])
-        for comparison in comparisons
-    ]
-
-
-def _images(comparison: Comparison) -> list[Any]:
-    """The photograph and its detail, then four pictures of each method."""
-    crop = comparison.crop
-    images = [comparison.photograph, crop.of(comparison.photograph)]
-    for shown in comparison.methods:
-        images += [
-            shown.color,
-            crop.of(shown.color),
-            _error_colors(shown.error / comparison.scale),
-            shown.depth,
-        ]
-    return images
+    It has no size of its own, and no link that leaves the page. Its ids begin with `name`.
+    """
+    element = text[text.index("<svg") :]
+    element = re.sub(r"<metadata>.*?</metadata>", "", element, flags=re.DOTALL)
+    for size in ("width", "height"):
+        element = re.sub(rf'(<svg[^>]*?) {size}="[^"]*"', r"\1", element)
+    element = re.sub(r'(\bid="|href="#|url\(#)', rf"\1{name}-", element)
+    for color, variable in COLORS.items():
+        element = element.replace(color, f"var(--{variable})")
+    return element
 
 
-def _view(comparison: Comparison, encoded: Sequence[str]) -> View:
-    height, width = comparison.photograph.shape[:2]
-    return View(
-        name=f"{comparison.setting.name}/{comparison.view}",
-        title=f"{comparison.setting.title}: {comparison.view}",
-        photograph=Picture("photograph", "", encoded[0], encoded[1], "", ""),
-        methods=tuple(
-            Picture(shown.method, f"{shown.psnr:.2f} dB", *encoded[2 + 4 * index : 6 + 4 * index])
-            for index, shown in enumerate(comparison.methods)
-        ),
-        crop=_frame(comparison.crop, height, width),
-        scale=f"{comparison.scale:g}",
-        aspect=width / height,
-    )
+def data_uris(images: Sequence[Image], budget: int) -> list[str]:
+    """Return images as data URIs of at most `budget` characters together.
+
+    All are encoded alike, so that they can be compared: without loss if that fits, else as JPEG,
+    else also smaller.
+    """
+    encoded: list[str] = []
+    for kind, quality, factor in ENCODINGS:
+        options: Any = {} if quality is None else {"quality": quality, "subsampling": 0}
+        small = [smaller(image, factor) for image in images]
+        files = [iio.imwrite("<bytes>", image, extension=f".{kind}", **options) for image in small]
+        encoded = [f"data:image/{kind};base64,{b64encode(file).decode()}" for file in files]
+        if sum(map(len, encoded)) <= budget:
+            break
+    return encoded
 
 
-def _frame(crop: Crop, height: int, width: int) -> str:
-    shares = {"left": crop.left / width, "top": crop.top / height, "width": crop.side / width}
-    shares["height"] = crop.side / height
-    return ";".join(f"{side}:{100 * share:.2f}%" for side, share in shares.items())
+def smaller(image: Image, factor: int) -> Image:
+    """Return means over squares of pixels; what is left over at the right and below is cut off."""
+    height, width = (size // factor for size in image.shape[:2])
+    if factor == 1 or not height or not width:
+        return image
+    squares = image[: height * factor, : width * factor].reshape(height, factor, width, factor, 3)
+    return squares.mean((1, 3)).round().astype(np.uint8)
 
 
-def _error_colors(values: Any) -> Any:
-    import matplotlib
+def _svg(path: Path) -> Markup:
+    return Markup(themed_svg(path.read_text(encoding="utf-8"), path.stem))
 
-    return (
-        (matplotlib.colormaps[ERROR_MAP](np.clip(values, 0, 1))[..., :3] * 255)
-        .round()
-        .astype(np.uint8)
-    )
+
+def _images(view: ComparedView) -> dict[tuple[str, str, str], Image]:
+    """Return the pictures of a view by its name, the method, and what they show of it."""
+    crop, colors = view.crop, matplotlib.colormaps[ERROR_MAP]
+    images = {("photograph", "colour"): view.photograph}
+    images["photograph", "detail"] = crop.of(view.photograph)
+    for own in view.methods:
+        error = colors(np.clip(own.error / view.scale, 0, 1))[..., :3] * 255
+        images[own.method, "colour"] = own.color
+        images[own.method, "detail"] = crop.of(own.color)
+        images[own.method, "error"] = error.round().astype(np.uint8)
+        images[own.method, "depth"] = own.depth
+    return {(view.name, method, kind): image for (method, kind), image in images.items()}
 
 
 def _gradient(name: str) -> str:
-    """A colour map as the stops of a CSS gradient."""
-    import matplotlib
-    from matplotlib.colors import to_hex
-
+    """Return a colour map as the stops of a CSS gradient."""
     return ", ".join(to_hex(matplotlib.colormaps[name](stop)) for stop in np.linspace(0, 1, 11))
-
-
-def _run(record: RunRecord) -> Run:
-    last = record.evaluations[-1] if record.evaluations else None
-    if record.failure is not None:
-        state = "failed"
-    elif record.final is not None:
-        state = "complete"
-    else:
-        state = f"{duration(last.train_seconds)} so far" if last else "not scored yet"
-    (setting,) = by_setting([record])
-    command = shlex.join(["nerfreg", "train", *record.command])
-    return Run(
-        record.method,
-        setting.title,
-        record.seed,
-        state,
-        record.failure or "",
-        str(record.folder),
-        command,
-    )

@@ -8,13 +8,12 @@ import statistics
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 from nerfreg.errors import NerfregError
-from nerfreg.reports.grouping import Setting
-from nerfreg.reports.methods import VANILLA
-from nerfreg.reports.records import RunRecord
+from nerfreg.reports.records import VANILLA, Setting
 
-COLUMNS = ("dataset", "views", "scene", "method", "psnr", "ssim", "lpips", "average")
+KEYS = ("dataset", "views", "scene", "method")
 VALUES = ("psnr", "ssim", "lpips", "average")
 MEAN = "mean"
 """In place of a scene: a row over all scenes of its data set."""
@@ -27,7 +26,10 @@ PROTOCOLS: dict[str, dict[str, tuple[object, ...]]] = {
         "scene.background": ("white",),
     },
 }
-"""Settings under which published numbers of a data set may stand beside ours. A name alone says little."""
+"""Settings under which published numbers of a data set may stand beside ours.
+
+The name of a scene alone says little.
+"""
 
 
 @dataclass(frozen=True)
@@ -38,140 +40,131 @@ class PaperRow:
     views: int
     scene: str
     method: str
-    psnr: float | None
-    ssim: float | None
-    lpips: float | None
-    average: float | None
+    psnr: float | None = None
+    ssim: float | None = None
+    lpips: float | None = None
+    average: float | None = None
+    computed: bool = False
 
 
 def read_paper(path: Path) -> list[PaperRow]:
-    """Rows of a CSV file with (at least) the columns of `PaperRow`; those that several tables repeat are merged.
+    """Return the rows of a CSV file with at least the columns `KEYS` and `VALUES`.
 
-    Raises NerfregError naming file, line and column of what cannot be read.
+    Rows that several of the paper's tables repeat are merged. Averages that were not published are
+    computed.
+
+    Raises:
+        NerfregError: What cannot be read, by file, line and column.
     """
     try:
         with path.open(newline="", encoding="utf-8-sig") as file:
             reader = csv.DictReader(file)
-            missing = [column for column in COLUMNS if column not in (reader.fieldnames or ())]
+            columns = (*KEYS, *VALUES)
+            missing = [column for column in columns if column not in (reader.fieldnames or ())]
             if missing:
-                raise NerfregError(
-                    f"{path}: no column {', '.join(missing)}; needed: {', '.join(COLUMNS)}"
-                )
-            rows = [_row(path, reader.line_num, line) for line in reader]
+                needed = f"needed: {', '.join(columns)}"
+                raise NerfregError(f"{path}: no column {', '.join(missing)}; {needed}")
+            rows = [_row(f"{path}, line {reader.line_num}", line) for line in reader]
     except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise NerfregError(
-            f"--paper {path}: cannot be read ({getattr(error, 'strerror', None) or error})"
-        ) from error
-    merged: dict[tuple[str, int, str, str], PaperRow] = {}
+        reason = getattr(error, "strerror", None) or error
+        raise NerfregError(f"--paper {path}: cannot be read ({reason})") from error
+    merged: dict[tuple[object, ...], PaperRow] = {}
     for row in rows:
-        key = (row.dataset, row.views, row.scene, row.method)
+        key = tuple(getattr(row, name) for name in KEYS)
         before = merged.setdefault(key, row)
         gaps = {name: getattr(row, name) for name in VALUES if getattr(before, name) is None}
         merged[key] = replace(before, **gaps)
-    return list(merged.values())
+    return [with_average(row) for row in merged.values()]
 
 
-def rows_of_scene(
-    paper: Sequence[PaperRow], scene: str, views: int, settings: Mapping[str, object]
+def published(
+    paper: Sequence[PaperRow], setting: Setting, settings: Mapping[str, Any]
 ) -> tuple[list[PaperRow], list[str]]:
-    """The rows of a scene, and a note for each reason why some may not stand beside runs with these settings."""
-    found = [row for row in paper if row.scene.lower() == _plain(scene) and row.views == views]
+    """Return what was published in a setting; nothing for held-out training views.
+
+    Args:
+        paper: All that was published.
+        setting: Scene and number of views. What sets apart runs of one scene in its name counts
+            for nothing: `chair (factor=8)` is chair.
+        settings: The configuration of the runs.
+
+    Returns:
+        The rows, and a note for each reason why some may not stand beside these runs.
+    """
+    scene = setting.scene.partition(" (")[0].lower()
     kept, notes = [], dict[str, None]()
-    for row in found:
+    for row in () if setting.held_out else paper:
+        if (row.scene.lower(), row.views) != (scene, setting.views):
+            continue
         different = [
             f"{key}={settings[key]}"
             for key, allowed in PROTOCOLS.get(row.dataset, {}).items()
             if key in settings and settings[key] not in allowed
         ]
         if different:
-            notes[
-                f"The paper's rows are left out, because the runs have {', '.join(different)}."
-            ] = None
+            reason = f"the runs have {', '.join(different)}"
+            notes[f"The paper's rows are left out, because {reason}."] = None
         else:
             kept.append(row)
     return kept, list(notes)
 
 
-def published(
-    paper: Sequence[PaperRow], setting: Setting, runs: Sequence[RunRecord]
-) -> tuple[list[PaperRow], list[str]]:
-    """What was published on the scene of some runs, see `rows_of_scene`; nothing on held-out training views."""
-    return (
-        ([], [])
-        if setting.held_out
-        else rows_of_scene(paper, setting.scene, setting.views, runs[0].settings)
-    )
-
-
 def rows_over_scenes(
     paper: Sequence[PaperRow], scenes: Sequence[Sequence[PaperRow]]
 ) -> list[PaperRow]:
-    """Means over some scenes of methods published on all of them, each scene given by its own rows.
+    """Return means over some scenes of the methods that were published on all of them.
 
-    Where these are all scenes of a data set, its published means, which know more methods, come instead.
+    Where these are all scenes of a data set, its published means, which know more methods, come
+    instead.
+
+    Args:
+        paper: All that was published.
+        scenes: The rows of each scene.
     """
     datasets = {(row.dataset, row.views) for rows in scenes for row in rows}
     if not all(scenes) or not datasets:
         return []
     if len(datasets) == 1:
-        of_dataset = [row for row in paper if (row.dataset, row.views) in datasets]
-        if {row.scene for row in of_dataset} - {MEAN} == {
-            row.scene for rows in scenes for row in rows
-        }:
-            published = [row for row in of_dataset if row.scene == MEAN]
-            if published:
-                return published
-    by_scene = [{row.method: with_average(row) for row in rows} for rows in scenes]
-    return [
-        _mean([rows[method] for rows in by_scene])
-        for method in by_scene[0]
-        if all(method in r for r in by_scene)
-    ]
+        known = [row for row in paper if (row.dataset, row.views) in datasets]
+        means = [row for row in known if row.scene == MEAN]
+        ours = {row.scene for rows in scenes for row in rows}
+        if means and {row.scene for row in known} - {MEAN} == ours:
+            return means
+    by_scene = [{row.method: row for row in rows} for rows in scenes]
+    common = [method for method in by_scene[0] if all(method in rows for rows in by_scene)]
+    return [_mean([rows[method] for rows in by_scene]) for method in common]
 
 
 def vanilla_psnr(rows: Iterable[PaperRow]) -> float | None:
-    """The published PSNR without regularizers."""
+    """Return the published PSNR without regularizers."""
     return next((row.psnr for row in rows if row.method == VANILLA), None)
 
 
 def with_average(row: PaperRow) -> PaperRow:
-    """The row with `average`, the geometric mean of its errors, if it was not published."""
+    """Return the row with `average`, the geometric mean of its errors, if it has none."""
     if row.average is not None or row.psnr is None or row.ssim is None or row.lpips is None:
         return row
-    return replace(
-        row, average=math.cbrt(10 ** (-row.psnr / 10) * math.sqrt(1 - row.ssim) * row.lpips)
-    )
+    average = math.cbrt(10 ** (-row.psnr / 10) * math.sqrt(1 - row.ssim) * row.lpips)
+    return replace(row, average=average, computed=True)
 
 
 def _mean(rows: Sequence[PaperRow]) -> PaperRow:
-    def mean(name: str) -> float | None:
-        values = [getattr(row, name) for row in rows]
-        return None if None in values else statistics.fmean(values)
-
-    first, (psnr, ssim, lpips, average) = rows[0], map(mean, VALUES)
-    return PaperRow(first.dataset, first.views, MEAN, first.method, psnr, ssim, lpips, average)
-
-
-def _plain(scene: str) -> str:
-    """Without what sets apart runs of one scene: `chair (factor=8)` is chair."""
-    return scene.partition(" (")[0].lower()
+    columns = {name: [getattr(row, name) for row in rows] for name in VALUES}
+    means: dict[str, Any] = {
+        k: None if None in v else statistics.fmean(v) for k, v in columns.items()
+    }
+    return replace(rows[0], scene=MEAN, computed=False, **means)
 
 
-def _row(path: Path, number: int, line: Mapping[str, str | None]) -> PaperRow:
-    def value(column: str) -> float | None:
-        text = (line[column] or "").strip()
-        if not text:
-            return None
+def _row(place: str, line: Mapping[str, str | None]) -> PaperRow:
+    texts = {name: (line[name] or "").strip() for name in (*KEYS, *VALUES)}
+    if not texts["views"].isdecimal():
+        raise NerfregError(f"{place}: views={texts['views']} is no whole number")
+    values: dict[str, Any] = {}
+    for name in VALUES:
         try:
-            return float(text)
+            values[name] = float(texts[name]) if texts[name] else None
         except ValueError:
-            raise NerfregError(f"{path}, line {number}: {column}={text} is no number") from None
-
-    views = (line["views"] or "").strip()
-    if not views.isdecimal():
-        raise NerfregError(f"{path}, line {number}: views={views} is no whole number")
-    dataset, scene, method = (
-        (line[column] or "").strip() for column in ("dataset", "scene", "method")
-    )
-    psnr, ssim, lpips, average = map(value, VALUES)
-    return PaperRow(dataset, int(views), scene, method, psnr, ssim, lpips, average)
+            raise NerfregError(f"{place}: {name}={texts[name]} is no number") from None
+    keys = texts["dataset"], int(texts["views"]), texts["scene"], texts["method"]
+    return PaperRow(*keys, **values)

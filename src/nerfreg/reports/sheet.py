@@ -3,134 +3,66 @@
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from nerfreg.files import atomic
-from nerfreg.reports.grouping import slug
-from nerfreg.reports.pictures import Comparison, Crop
-from nerfreg.reports.style import INK, PALETTE
+from matplotlib.cm import ScalarMappable
+from matplotlib.patches import Rectangle
 
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
+from nerfreg.analysis.figures import PALETTE, panels, save
+from nerfreg.reports.pictures import ComparedView
+from nerfreg.reports.records import slug
 
 COLUMNS = ("photograph", "colour", "error", "depth", "photograph, detail", "colour, detail")
 ERROR_MAP, DEPTH_MAP = "magma", "viridis"
-BARS = ("mean absolute error", "depth, log scale")
-MARGIN, GAP, HEAD, FOOT = 0.42, 0.04, 0.42, 0.36
-"""Inches left of the pictures, between them, above and below."""
 WIDTH = 1.75
 """Inches of a picture; the dots per inch follow from its pixels."""
 
 
-def draw_sheets(comparisons: Sequence[Comparison], folder: Path) -> list[Path]:
-    """One PNG for each comparison, named by scene and view. Raises NerfregError where it cannot be written."""
-    return [
-        draw_sheet(each, folder / f"{each.setting.name}-{slug(each.view)}.png")
-        for each in comparisons
-    ]
-
-
-def draw_sheet(comparison: Comparison, path: Path) -> Path:
-    """Rows are methods; columns photograph, colour, error, depth, and the detail of the first two.
+def draw_sheet(compared: ComparedView, folder: Path) -> list[Path]:
+    """Draw a row for each method: photograph, colour, error, depth, and details of the first two.
 
     The detail is where the methods differ most, and is framed in the photograph and in the colours.
+
+    Returns:
+        A PNG, named by scene and view.
+
+    Raises:
+        NerfregError: The file cannot be written.
     """
-    from matplotlib import rc_context
-    from matplotlib.figure import Figure
-
-    height, width = comparison.photograph.shape[:2]
-    grid = Grid(len(comparison.methods), WIDTH * height / width)
-    with rc_context({"font.size": 8.5, "text.color": INK, "axes.labelcolor": INK}):
-        figure = Figure(figsize=(grid.width, grid.height))
-        for row, shown in enumerate(comparison.methods):
-            images: tuple[Any, ...] = (
-                comparison.photograph, shown.color, shown.error, shown.depth,
-                comparison.crop.of(comparison.photograph), comparison.crop.of(shown.color),
-            )  # fmt: skip
-            for column, image in enumerate(images):
-                panel = figure.add_axes(grid.place(row, column))
-                _show(panel, image, comparison.scale)
-                if row == 0:
-                    panel.set_title(COLUMNS[column], fontsize=8.5, pad=3)
-                if column == 0:
-                    name = textwrap.shorten(
-                        shown.method.replace(", ", " "), round(17 * grid.tall), placeholder=" …"
-                    )
-                    panel.set_ylabel(f"{name}\n{shown.psnr:.2f} dB", fontsize=8, labelpad=3)
-                if column < 2:
-                    _frame(panel, comparison.crop)
-        scale = (("0", f"{comparison.scale:g}"), ("far", "near"))
-        for column, name, ends, label in zip(
-            (2, 3), (ERROR_MAP, DEPTH_MAP), scale, BARS, strict=True
-        ):
-            _bar(figure.add_axes(grid.bar(column)), name, ends, label)
-        figure.text(
-            0.02,
-            1 - 0.11 / grid.height,
-            f"{comparison.setting.title}: {comparison.view}",
-            va="center",
-        )
-        with atomic(path) as part:
-            figure.savefig(part, dpi=min(max(width / WIDTH, 150), 300))
-    return path
-
-
-@dataclass(frozen=True)
-class Grid:
-    """Where the pictures of a sheet stand. rows: of methods. tall: height of a picture in inches."""
-
-    rows: int
-    tall: float
-
-    @property
-    def width(self) -> float:
-        """Of the sheet in inches."""
-        return MARGIN + 4 * (WIDTH + GAP) + 2 * (self.tall + GAP)
-
-    @property
-    def height(self) -> float:
-        """Of the sheet in inches."""
-        return HEAD + self.rows * (self.tall + GAP) + FOOT
-
-    def place(self, row: int, column: int) -> tuple[float, float, float, float]:
-        """Left, bottom, width and height as shares of the sheet."""
-        left = MARGIN + min(column, 4) * (WIDTH + GAP) + max(column - 4, 0) * (self.tall + GAP)
-        bottom = FOOT + (self.rows - 1 - row) * (self.tall + GAP)
-        wide = WIDTH if column < 4 else self.tall
-        return left / self.width, bottom / self.height, wide / self.width, self.tall / self.height
-
-    def bar(self, column: int) -> tuple[float, float, float, float]:
-        """A bar of colours under a column."""
-        left, _, wide, _ = self.place(0, column)
-        return left, (FOOT - 0.13) / self.height, wide, 0.06 / self.height
-
-
-def _show(panel: Axes, image: Any, scale: float) -> None:
-    panel.imshow(image, cmap=ERROR_MAP, vmin=0, vmax=scale, aspect="auto")
-    panel.set_xticks([])
-    panel.set_yticks([])
-    for spine in panel.spines.values():
-        spine.set_visible(False)
-
-
-def _frame(panel: Axes, crop: Crop) -> None:
-    from matplotlib.patches import Rectangle
-
-    corner = (crop.left - 0.5, crop.top - 0.5)
-    for color, width in (("white", 1.8), (PALETTE[1], 1.0)):
-        panel.add_patch(
-            Rectangle(corner, crop.side, crop.side, fill=False, edgecolor=color, linewidth=width)
-        )
-
-
-def _bar(panel: Axes, name: str, ends: tuple[str, str], label: str) -> None:
-    panel.imshow([range(256)], cmap=name, aspect="auto")
-    panel.set_yticks([])
-    panel.set_xticks([])
-    for spine in panel.spines.values():
-        spine.set_visible(False)
-    for place, align, text in ((0, "left", ends[0]), (0.5, "center", label), (1, "right", ends[1])):
-        panel.text(place, -0.6, text, transform=panel.transAxes, ha=align, va="top", fontsize=8)
+    pixels, crop, count = compared.photograph.shape[1], compared.crop, len(compared.methods)
+    tall = WIDTH * compared.photograph.shape[0] / pixels
+    size = (4 * WIDTH + 2 * tall + 0.7, count * (tall + 0.05) + 0.8)
+    widths = [WIDTH] * 4 + [tall] * 2
+    with panels(count, widths, *size, "linear", 8.5) as (figure, rows):
+        figure.suptitle(compared.title)
+        figure.set_layout_engine("constrained", w_pad=0.02, h_pad=0.02, wspace=0, hspace=0)
+        for method, row in zip(compared.methods, rows, strict=True):
+            photograph, color = compared.photograph, method.color
+            details = (crop.of(photograph), crop.of(color))
+            images = (photograph, color, method.error, method.depth, *details)
+            for panel, image in zip(row, images, strict=True):
+                panel.imshow(image, cmap=ERROR_MAP, vmin=0, vmax=compared.scale)
+                panel.set(xticks=[], yticks=[])
+                panel.spines[:].set_visible(False)
+            for panel in row[:2]:
+                corner = (crop.left - 0.5, crop.top - 0.5)
+                for edge, width in (("white", 1.8), (PALETTE[1], 1.0)):
+                    look: dict[str, Any] = {"edgecolor": edge, "linewidth": width}
+                    panel.add_patch(Rectangle(corner, crop.side, crop.side, fill=False, **look))
+            name = method.method.replace(", ", " ")
+            name = textwrap.shorten(name, max(round(17 * tall), 8), placeholder=" …")
+            row[0].set_ylabel(f"{name}\n{method.psnr:.2f} dB", fontsize=8)
+        for panel, title in zip(rows[0], COLUMNS, strict=True):
+            panel.set_title(title, fontsize=8.5)
+        scales = {
+            2: (ERROR_MAP, "mean absolute error", ("0", f"{compared.scale:g}")),
+            3: (DEPTH_MAP, "depth, log scale", ("far", "near")),
+        }
+        for column, (colors, label, ends) in scales.items():
+            below = rows[-1][column].inset_axes((0, -0.09, 1, 0.04))
+            bar = figure.colorbar(ScalarMappable(cmap=colors), below, orientation="horizontal")
+            bar.set_ticks([0, 1], labels=list(ends))
+            bar.set_label(label, labelpad=-8)
+        stem = folder / f"{compared.setting.name}-{slug(compared.view)}"
+        return save(figure, stem, (".png",), dpi=min(max(pixels / WIDTH, 150), 300))

@@ -1,42 +1,41 @@
-"""How long it takes: training seconds to a given PSNR, and seconds per step of each method beside vanilla."""
+"""How long it takes: training seconds to a PSNR, and seconds per step beside vanilla's."""
 
 from __future__ import annotations
 
 import math
 import statistics
 from collections.abc import Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
-from nerfreg.reports.grouping import Setting, by_setting
-from nerfreg.reports.methods import VANILLA, identity
-from nerfreg.reports.records import Evaluation, RunRecord
+from nerfreg.reports.methods import identity
+from nerfreg.reports.records import (
+    VANILLA,
+    EvaluationRecord,
+    RunRecord,
+    by_setting,
+    counted,
+    grouped,
+)
+from nerfreg.reports.tables import Column, Row, Table, TableCell, marked
+
+COLUMNS = (
+    Column("step", "ms", ".1f", "down", "milliseconds_per_step"),
+    Column("relative to vanilla", "", ".2f", "down", "relative_to_vanilla"),
+)
+NOTE = (
+    "Medians over runs. Vanilla has the same settings and threads, and a budget of the same kind."
+)
 
 
-@dataclass(frozen=True)
-class Crossing:
-    """seconds: of training. at_most: the first evaluation was already above, so that it may have been earlier."""
+class Crossing(NamedTuple):
+    """When a PSNR was reached, or at most, where the first evaluation was already above."""
 
     seconds: float
     at_most: bool = False
 
 
-@dataclass(frozen=True)
-class Cost:
-    """What a step of a method takes.
-
-    seconds_per_step: median over `runs` runs. relative: to vanilla with the same settings; None without such a run.
-    """
-
-    setting: Setting
-    method: str
-    threads: int | None
-    seconds_per_step: float
-    relative: float | None
-    runs: int
-
-
-def seconds_to_psnr(evaluations: Sequence[Evaluation], psnr: float) -> Crossing | None:
-    """When the PSNR was reached for the first time; None if it never was.
+def seconds_to_psnr(evaluations: Sequence[EvaluationRecord], psnr: float) -> Crossing | None:
+    """Return when the PSNR was reached for the first time; None if it never was.
 
     Between two evaluations PSNR is taken to be linear in the logarithm of time.
     """
@@ -54,48 +53,54 @@ def seconds_to_psnr(evaluations: Sequence[Evaluation], psnr: float) -> Crossing 
     return None
 
 
-def costs(records: Sequence[RunRecord]) -> list[Cost]:
-    """Seconds per step of every method on every scene, for each number of threads.
+def cost_tables(runs: Sequence[RunRecord]) -> list[Table]:
+    """Return what a step of each method takes, for each setting that has more than one method.
 
-    A method is compared with vanilla runs that agree with it in all but regularizers, seed and the size of the budget.
+    A method is compared with vanilla runs that agree with it in all but regularizers, seed and the
+    size of the budget, for each number of threads.
     """
-    found = []
-    for setting, runs in by_setting(records).items():
-        timed = [(run, seconds) for run in runs if (seconds := _seconds_per_step(run)) is not None]
-        plain: dict[object, list[float]] = {}
-        groups: dict[tuple[str, int | None], list[tuple[object, float]]] = {}
-        for run, seconds in timed:
-            conditions = _conditions(run)
-            groups.setdefault((run.method, run.threads), []).append((conditions, seconds))
-            if identity(run)["reg"] == VANILLA:
-                plain.setdefault(conditions, []).append(seconds)
-        for (method, threads), group in groups.items():
-            median = statistics.median(seconds for _, seconds in group)
-            matched = [conditions for conditions, _ in group if conditions in plain]
-            relative = None
-            if len(matched) == len(group):
-                # Of one method all runs have the same conditions, but for keys that older folders lack.
-                relative = median / statistics.median(plain[matched[0]])
-            found.append(Cost(setting, method, threads, median, relative, len(group)))
-    return found
+    timed = [run for run in runs if run.failure is None and run.last and run.last.step > 0]
+    tables = []
+    for setting, own in by_setting(timed).items():
+        rows = _cost_rows(own)
+        threads = {run.threads for run in own}
+        if len({run.method for run in own}) > 1:
+            notes = (NOTE, f"Trained with {_threads(own[0])}.")[: 2 if len(threads) == 1 else 1]
+            title, name = f"Cost of a step: {setting.title}", f"cost-{setting.name}"
+            tables.append(Table(title, name, COLUMNS, marked(COLUMNS, rows), "runs", notes))
+    return tables
 
 
-def _seconds_per_step(run: RunRecord) -> float | None:
-    last = run.evaluations[-1] if run.evaluations else None
-    return (
-        last.train_seconds / last.step
-        if last is not None and last.step > 0 and run.failure is None
-        else None
-    )
+def _cost_rows(runs: Sequence[RunRecord]) -> list[Row]:
+    vanilla = grouped((run for run in runs if identity(run)["reg"] == VANILLA), _conditions)
+    several = len({run.threads for run in runs}) > 1
+    rows = []
+    for (method, _), group in grouped(runs, lambda run: (run.method, run.threads)).items():
+        median = _milliseconds(group)
+        # Of one method all runs have the same conditions, but for keys that older folders lack.
+        conditions = [_conditions(run) for run in group]
+        matched = all(each in vanilla for each in conditions)
+        relative = median / _milliseconds(vanilla[conditions[0]]) if matched else None
+        label = (
+            f"{method}, {_threads(group[0])}" if several and "threads=" not in method else method
+        )
+        cells = tuple(TableCell(value, count=len(group)) for value in (median, relative))
+        rows.append(Row(label, cells, len(group)))
+    return sorted(rows, key=lambda row: row.cells[0].value or 0.0)
+
+
+def _milliseconds(runs: Sequence[RunRecord]) -> float:
+    lasts = [run.last for run in runs if run.last]
+    return 1e3 * statistics.median(last.train_seconds / last.step for last in lasts)
+
+
+def _threads(run: RunRecord) -> str:
+    return "threads unknown" if run.threads is None else counted(run.threads, "thread")
 
 
 def _conditions(run: RunRecord) -> tuple[tuple[str, str], ...]:
-    """What a method is compared under: all that may change the time of a step, regularizers aside."""
-    known = {
-        key: value
-        for key, value in identity(run).items()
-        if key != "reg" and not key.startswith("reg.")
-    }
+    """Return all that may change the time of a step, regularizers aside."""
+    known = {key: value for key, value in identity(run).items() if key.split(".")[0] != "reg"}
     known["threads"] = str(run.threads)
     known["budget"] = "seconds" if run.settings.get("train.seconds") is not None else "steps"
     return tuple(sorted(known.items()))

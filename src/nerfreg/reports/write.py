@@ -6,19 +6,21 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from rich import box
 from rich.console import Console
-from rich.table import Table as Grid
 from rich.text import Text
 
-from nerfreg.reports import figures, page
+from nerfreg.analysis.tables import new_table
 from nerfreg.reports.collect import collect
-from nerfreg.reports.comparison import comparisons, cost_tables
+from nerfreg.reports.comparison import comparisons
+from nerfreg.reports.figures import draw_figures
+from nerfreg.reports.page import write_page
 from nerfreg.reports.paper import read_paper
 from nerfreg.reports.pictures import compare
-from nerfreg.reports.statistics import without_repetitions
+from nerfreg.reports.records import without_repetitions
+from nerfreg.reports.sheet import draw_sheet
 from nerfreg.reports.table_files import write_tables
 from nerfreg.reports.tables import Table
+from nerfreg.reports.timing import cost_tables
 
 NAME_WIDTH, PIPE_WIDTH = 24, 160
 
@@ -43,17 +45,17 @@ def write_report(
         NerfregError: There is no run, or something can be neither read nor written.
     """
     published = read_paper(paper) if paper else []
-    records, notes = without_repetitions(collect(runs))
-    compared = comparisons(records, published, psnr, notes)
+    records, repeated = without_repetitions(collect(runs))
+    compared = comparisons(records, published, psnr, repeated)
     tables = [*compared, *cost_tables(records)]
     # First, because it refuses views that nobody has: then nothing is written.
-    pictures = compare(records, views)
-    plots = figures.plots(records, published)
-    paths = [
-        *write_tables(records, tables, folder),
-        *figures.draw(plots, folder),
-        page.write(records, tables, plots, pictures, folder),
-    ]
+    pictures, notes = compare(records, views)
+    paths = write_tables(records, tables, folder)
+    figures = draw_figures(records, published, folder)
+    paths += [path for figure in figures for path in figure.paths]
+    for picture in pictures:
+        draw_sheet(picture, folder / "pictures")
+    paths.append(write_page(records, tables, figures, pictures, notes, folder))
     over_scenes = [table for table in compared if table.setting is None]
     for table in over_scenes or compared:
         print_table(table)
@@ -62,27 +64,18 @@ def write_report(
 
 
 def print_table(table: Table) -> None:
-    """The table and its notes on the terminal: best bold, second best underlined."""
-    grid = Grid(
-        title=table.title, box=box.SIMPLE_HEAD, pad_edge=False, padding=0, title_justify="left"
-    )
-    grid.add_column(
-        "method",
-        overflow="fold",
-        min_width=min(max(len(row.label) for row in table.rows), NAME_WIDTH),
-    )
-    for heading in (
-        *(column.heading.replace(" ", "\n", 1) for column in table.columns),
-        table.counted,
-    ):
-        grid.add_column(heading, justify="right")
+    """Print a table and its notes: best bold, second best underlined."""
+    grid = new_table(table.title, "")
+    width = min(max(len(row.label) for row in table.rows), NAME_WIDTH)
+    grid.add_column(table.headings[0], overflow="fold", min_width=width)
+    for heading in table.headings[1:]:
+        grid.add_column(heading.replace(" ", "\n", 1), justify="right")
     for row in table.rows:
         cells = [
             Text(cell.shown(column), "bold" if cell.best else "underline" if cell.second else "")
             for column, cell in zip(table.columns, row.cells, strict=True)
         ]
-        count = Text("" if row.paper else str(row.count))
-        grid.add_row(Text(row.label), *cells, count, style="dim" if row.paper else None)
+        grid.add_row(Text(row.label), *cells, row.counted, style="dim" if row.paper else None)
     # What is piped has no width of its own.
     console = Console(highlight=False, width=None if sys.stdout.isatty() else PIPE_WIDTH)
     console.print(grid)
