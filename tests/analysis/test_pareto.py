@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 import math
-from pathlib import Path
 
 import pytest
 
-from nerfreg.analysis.pareto import draw_pareto, front
-from nerfreg.reports.records import Evaluation, RunRecord
-from nerfreg.reports.style import FAINT, method_styles
+from nerfreg.analysis.pareto import front
 
 
 def test_points_that_another_beats_in_both_are_not_on_the_front() -> None:
@@ -56,18 +53,3 @@ def test_nothing_dominates_a_point_of_the_front_and_something_dominates_every_ot
     for index, (x, y) in enumerate(points):
         dominated = any(a <= x and b <= y and (a, b) != (x, y) for a, b in points)
         assert (index in chosen) != dominated
-
-
-def run(method: str, seconds: float, psnr: float) -> RunRecord:
-    final = Evaluation(100, seconds, psnr, None, None, None, None, 3, True)
-    return RunRecord(Path(method), method, "fern", 3, 0, False, (final,), final, None, None, {}, ())
-
-
-def test_higher_psnr_is_better_and_what_lies_behind_is_faint(tmp_path: Path) -> None:
-    runs = [run("vanilla", 100.0, 18.0), run("kl", 200.0, 17.0), run("combinerf", 300.0, 21.0)]
-    styles = method_styles(runs)
-    text = draw_pareto(runs, styles, "fern, 3 views", tmp_path / "pareto")[1].read_text()
-    assert "no complete run" in text  # no run has an average
-    assert all(f">{method}<" in text for method in ("vanilla", "kl", "combinerf"))
-    assert styles["vanilla"].color in text and styles["combinerf"].color in text
-    assert styles["kl"].color not in text and FAINT in text

@@ -11,7 +11,7 @@ import pytest
 
 from nerfreg.errors import NerfregError
 from nerfreg.reports.collect import collect
-from nerfreg.reports.records import Evaluation
+from nerfreg.reports.records import EvaluationRecord, Setting
 
 
 def test_a_complete_run(write_run: Callable[..., Path]) -> None:
@@ -21,16 +21,12 @@ def test_a_complete_run(write_run: Callable[..., Path]) -> None:
     )  # fmt: skip
     (run,) = collect([folder])
     # as conftest.py writes it: 10 steps a second, the subset has 2 of the 3 views
-    way = Evaluation(100, 10.0, 15.0, None, None, None, None, views=2, whole=False)
-    final = Evaluation(1000, 100.0, 20.0, 0.5, 0.25, 0.125, None, views=3, whole=True)
+    way = EvaluationRecord(100, 10.0, 15.0, None, None, None, None, views=2, whole=False)
+    final = EvaluationRecord(1000, 100.0, 20.0, 0.5, 0.25, 0.125, None, views=3, whole=True)
     assert run.evaluations == (way, final) and run.final == final
-    assert (run.method, run.scene, run.views, run.seed) == ("kl, sampler=importance", "fern", 3, 0)
-    assert (run.held_out, run.threads, run.points_per_second, run.peak_memory_mb) == (
-        False,
-        1,
-        2e6,
-        500.0,
-    )
+    assert (run.method, run.seed) == ("kl, sampler=importance", 0)
+    assert run.setting == Setting("fern", 3, False)
+    assert (run.threads, run.points_per_second, run.peak_memory_mb) == (1, 2e6, 500.0)
     assert run.settings["train.seconds"] == 100.0 and run.settings["reg.kl.weight"] == 1e-5
     assert run.command == ("+reg=kl", "sampler=importance", "seed=0")
     assert run.failure is None and run.versions == {"nerfreg": "0.5", "torch": "2.6"}
@@ -44,7 +40,7 @@ def test_a_line_that_is_half_written(write_run: Callable[..., Path]) -> None:
     assert [evaluation.psnr for evaluation in run.evaluations] == [10.0, 11.0]
     assert run.final is None and run.points_per_second is None
     # all that results.json would say is found in the configuration
-    assert (run.scene, run.views, run.seed, run.threads) == ("fern", 3, 0, 1)
+    assert (run.setting, run.seed, run.threads) == (Setting("fern", 3), 0, 1)
 
 
 def test_a_torn_line_does_not_undo_a_complete_run(write_run: Callable[..., Path]) -> None:
@@ -99,7 +95,7 @@ def test_garbage_is_left_out(write_run: Callable[..., Path]) -> None:
     assert [evaluation.step for evaluation in run.evaluations] == [100, 1000] and run.final is None
     (folder / ".hydra" / "config.yaml").write_text("a: [")
     (run,) = collect([folder])
-    assert (run.scene, run.views, run.method) == ("scene", 0, "vanilla")
+    assert (run.setting, run.method) == (Setting("scene", 0), "vanilla")
 
 
 def test_full_size_evaluations_of_all_views_are_whole(write_run: Callable[..., Path]) -> None:
@@ -165,16 +161,16 @@ def test_the_name_of_a_scene_before_there_are_results(
     write_run: Callable[..., Path], scene, name
 ) -> None:
     (run,) = collect([write_run("a", scene=scene, complete=False)])
-    assert run.scene == name
+    assert run.setting.scene == name
 
 
 def test_views_are_known_from_another_run(write_run: Callable[..., Path], tmp_path: Path) -> None:
     write_run("a")
     write_run("b", seed=1, scene={"views": None}, complete=False)
-    assert [run.views for run in collect([tmp_path])] == [3, 3]
+    assert [run.setting.views for run in collect([tmp_path])] == [3, 3]
 
 
 def test_held_out_views_do_not_train(write_run: Callable[..., Path], tmp_path: Path) -> None:
     write_run("a", scene={"held_out": [0]})
     write_run("b", scene={"held_out": [0]}, seed=1, complete=False)
-    assert [(run.held_out, run.views) for run in collect([tmp_path])] == [(True, 2), (True, 2)]
+    assert [run.setting for run in collect([tmp_path])] == [Setting("fern", 2, True)] * 2

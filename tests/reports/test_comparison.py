@@ -9,19 +9,19 @@ from pathlib import Path
 import pytest
 
 from nerfreg.reports.collect import collect
-from nerfreg.reports.comparison import comparisons, cost_tables
-from nerfreg.reports.paper import PaperRow
-from nerfreg.reports.statistics import without_repetitions
-from nerfreg.reports.tables import Cell, Column, Row, Table, marked
+from nerfreg.reports.comparison import comparisons
+from nerfreg.reports.paper import PaperRow, with_average
+from nerfreg.reports.records import without_repetitions
+from nerfreg.reports.tables import Column, Table, TableCell
 
 KL = {"reg": {"kl": {"weight": 1.0}}}
 PAPER = [
-    PaperRow("llff", 3, "fern", "vanilla", 17.79, 0.509, 0.402, None),
-    PaperRow("llff", 3, "fern", "combinerf", 22.21, 0.713, 0.194, None),
+    with_average(PaperRow("llff", 3, "fern", "vanilla", 17.79, 0.509, 0.402)),
+    with_average(PaperRow("llff", 3, "fern", "combinerf", 22.21, 0.713, 0.194)),
 ]
 
 
-def cell(table: Table, label: str, key: str) -> Cell:
+def cell(table: Table, label: str, key: str) -> TableCell:
     (row,) = (row for row in table.rows if row.label == label)
     return row.cells[[column.key for column in table.columns].index(key)]
 
@@ -37,8 +37,8 @@ def test_a_scene(write_run: Callable[..., Path], tmp_path: Path) -> None:
     vanilla = cell(table, "vanilla", "psnr")
     assert (vanilla.value, vanilla.spread, vanilla.count) == pytest.approx((22.0, math.sqrt(7), 3))
     assert vanilla.second and not vanilla.best
-    assert cell(table, "kl", "psnr") == Cell(23.0, None, 1, best=True)
-    assert cell(table, "kl", "lpips") == Cell(None)
+    assert cell(table, "kl", "psnr") == TableCell(23.0, None, 1, best=True)
+    assert cell(table, "kl", "lpips") == TableCell(None)
     assert cell(table, "vanilla", "million_points_per_second").value == 2.0
     # no depth is known, no PSNR was asked for
     assert not {"depth_rmse", "seconds_to_psnr"} & {column.key for column in table.columns}
@@ -48,7 +48,7 @@ def test_a_mean_of_fewer_runs_says_so(write_run: Callable[..., Path], tmp_path: 
     write_run("a")
     write_run("b", seed=1, lpips=None)
     (table,) = comparisons(collect([tmp_path]))
-    assert cell(table, "vanilla", "lpips") == Cell(0.25, None, 1)
+    assert cell(table, "vanilla", "lpips") == TableCell(0.25, None, 1)
     assert "LPIPS of vanilla: from 1 of 2 runs." in table.notes
 
 
@@ -65,7 +65,7 @@ def test_published_rows_stand_below_and_say_which_psnr_is_timed(
     ]
     assert table.target == 17.79 and table.columns[-1].heading == "to 17.79 dB (s) ↓"
     assert cell(table, "vanilla", "seconds_to_psnr").value == pytest.approx(10.0)
-    assert cell(table, "vanilla (paper)", "train_seconds") == Cell(None)
+    assert cell(table, "vanilla (paper)", "train_seconds") == TableCell(None)
     # 22.79 is above what is published, which is not compared: no mark
     assert not any(cell.best or cell.second for row in table.rows for cell in row.cells)
     assert any("subset of the views" in note for note in table.notes)
@@ -118,7 +118,7 @@ def test_over_scenes(write_run: Callable[..., Path], tmp_path: Path) -> None:
     assert over.title == "Mean over 2 llff scenes, 3 views" and over.setting is None
     # (21 + 30) / 2, not the mean over runs, 24; one scene has one seed, so no deviation
     assert [(row.label, row.count) for row in over.rows] == [("vanilla", 3)]
-    assert cell(over, "vanilla", "psnr") == Cell(25.5, None, 3)
+    assert cell(over, "vanilla", "psnr") == TableCell(25.5, None, 3)
     assert "Left out, without a complete run on room, 3 views: kl." in over.notes
 
 
@@ -161,44 +161,3 @@ def test_runs_that_do_not_count_are_told(write_run: Callable[..., Path], tmp_pat
         f"kl, seed 0, failed: out of memory ({tmp_path / 'c'})",
     )
     assert "was run more than once" in table.notes[2]
-
-
-def test_costs(write_run: Callable[..., Path], tmp_path: Path) -> None:
-    write_run("a")
-    write_run("b", ["+reg=kl"], evaluations=((10.0, 15.0), (100.0, 20.0)), config=KL)
-    (table,) = cost_tables(collect([tmp_path]))
-    # conftest.py: ten steps a second
-    assert [(row.label, row.cells[0].value, row.cells[1].value) for row in table.rows] == [
-        ("vanilla", pytest.approx(100.0), pytest.approx(1.0)),
-        ("kl", pytest.approx(100.0), pytest.approx(1.0)),
-    ]
-    assert "Trained with 1 thread." in table.notes
-
-
-def test_one_method_has_no_cost_to_compare(write_run: Callable[..., Path], tmp_path: Path) -> None:
-    write_run("a")
-    assert cost_tables(collect([tmp_path])) == []
-
-
-def marks(column: Column, *values: float | None) -> str:
-    rows = marked(
-        (column,), [Row(str(index), (Cell(value),)) for index, value in enumerate(values)]
-    )
-    return "".join(
-        "b" if row.cells[0].best else "s" if row.cells[0].second else "-" for row in rows
-    )
-
-
-def test_marks() -> None:
-    up, down, neither = (
-        Column("", "", ".1f", "up"),
-        Column("", "", ".1f", "down"),
-        Column("", "", ".1f"),
-    )
-    assert marks(up, 1.0, 3.0, 2.0) == "-bs"
-    assert marks(down, 1.0, 3.0, 2.0) == "b-s"
-    assert marks(up, 3.04, 2.96, 2.0, None) == "bbs-"  # alike in print
-    assert marks(up, 3.0, 2.0, 2.0, 1.0) == "bss-"
-    assert marks(up, 3.0, 3.01) == "--"
-    assert marks(up, 3.0) == "-" and marks(up, None, 3.0) == "--"
-    assert marks(neither, 1.0, 2.0) == "--"

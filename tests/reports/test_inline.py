@@ -8,8 +8,8 @@ import imageio.v3 as iio
 import numpy as np
 import pytest
 
-from nerfreg.reports.inline import data_uris, smaller, themed_svg
-from nerfreg.reports.style import INK, PALETTE
+from nerfreg.analysis.figures import INK, PALETTE
+from nerfreg.reports.page import data_uris, smaller, themed_svg
 
 SVG = f"""<?xml version="1.0"?>
 <!DOCTYPE svg PUBLIC "-//W3C//DTD SVG 1.1//EN" "http://www.w3.org/Graphics/SVG/1.1/DTD/svg11.dtd">

@@ -177,7 +177,7 @@ def test_scenes_that_are_not_the_same_photographs_are_two(
     write_run("a", scene={"factor": 4})
     write_run("b", scene={"factor": 8})
     write_run("c", scene={"factor": 8, "views": 6})
-    assert [run.scene for run in collect([tmp_path])] == [
+    assert [run.setting.scene for run in collect([tmp_path])] == [
         "fern (factor=4)",
         "fern (factor=8)",
         "fern",
@@ -187,7 +187,7 @@ def test_scenes_that_are_not_the_same_photographs_are_two(
 def test_folds_are_not_seeds(write_run: Callable[..., Path], tmp_path: Path) -> None:
     for fold in (0, 1):
         write_run(f"{fold}", scene={"held_out": [fold]})
-    assert [run.scene for run in collect([tmp_path])] == [
+    assert [run.setting.scene for run in collect([tmp_path])] == [
         "fern (held_out=[0])",
         "fern (held_out=[1])",
     ]

@@ -16,10 +16,12 @@ import imageio.v3 as iio
 import numpy as np
 import pytest
 
-from nerfreg.reports import figures, page
+from nerfreg.reports.figures import draw_figures
+from nerfreg.reports.page import write_page
 from nerfreg.reports.pictures import compare
-from nerfreg.reports.records import Evaluation, RunRecord
-from nerfreg.reports.tables import Cell, Column, Row, Table
+from nerfreg.reports.records import EvaluationRecord, RunRecord, Setting
+from nerfreg.reports.sheet import draw_sheet
+from nerfreg.reports.tables import Column, Row, Table, TableCell
 
 BROWSER = next(
     filter(None, map(shutil.which, ("chromium", "google-chrome", "chromium-browser"))), None
@@ -31,11 +33,11 @@ TABLE = Table(
     columns=(PSNR, LPIPS),
     # as text 9.5 comes after 18; not in order by any column
     rows=(
-        Row("vanilla", (Cell(18.0, 0.25, 3), Cell(0.3, count=3, second=True)), 3),
-        Row("entropy", (Cell(None), Cell(None, text="not reached")), 0),
-        Row("combinerf", (Cell(21.5, best=True), Cell(0.2, best=True)), 1),
-        Row("<b>odd</b> & kl", (Cell(9.5), Cell(0.4)), 1),
-        Row("vanilla (paper)", (Cell(17.79), Cell(None)), paper=True),
+        Row("vanilla", (TableCell(18.0, 0.25, 3), TableCell(0.3, count=3, second=True)), 3),
+        Row("entropy", (TableCell(None), TableCell(None, text="not reached")), 0),
+        Row("combinerf", (TableCell(21.5, best=True), TableCell(0.2, best=True)), 1),
+        Row("<b>odd</b> & kl", (TableCell(9.5), TableCell(0.4)), 1),
+        Row("vanilla (paper)", (TableCell(17.79), TableCell(None)), paper=True),
     ),
     notes=("a note",),
 )
@@ -45,9 +47,9 @@ def run(
     folder: Path, method: str, color: int, failure: str | None = None, seed: int = 0
 ) -> RunRecord:
     """A run of fern with pictures of two views, 8 x 12 pixels, or one that failed."""
-    early = Evaluation(100, 10.0, 15.0, None, None, 0.3, None, 2, False)
-    late = Evaluation(900, 90.0, 17.0, None, None, 0.2, None, 2, False)
-    final = None if failure else Evaluation(1000, 100.0, 18.0, 0.5, 0.3, 0.15, None, 3, True)
+    early = EvaluationRecord(100, 10.0, 15.0, None, None, 0.3, None, 2, False)
+    late = EvaluationRecord(900, 90.0, 17.0, None, None, 0.2, None, 2, False)
+    final = None if failure else EvaluationRecord(1000, 100.0, 18.0, 0.5, 0.3, 0.15, None, 3, True)
     folder.mkdir(parents=True)
     if final:
         panels = [np.full((8, 12, 3), value, np.uint8) for value in (color, color // 2, 128, 0)]
@@ -62,14 +64,10 @@ def run(
     return RunRecord(
         folder,
         method,
-        "fern",
-        3,
+        Setting("fern", 3),
         seed,
-        False,
         evaluations,
         final,
-        None,
-        None,
         settings,
         command,
         failure=failure,
@@ -93,9 +91,11 @@ def report(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def write(records: list[RunRecord], tables: list[Table], folder: Path) -> Path:
-    plots = figures.plots(records)
-    figures.draw(plots, folder)
-    return page.write(records, tables, plots, compare(records, ()), folder)
+    compared, notes = compare(records)
+    for view in compared:
+        draw_sheet(view, folder / "pictures")
+    figures = draw_figures(records, [], folder)
+    return write_page(records, tables, figures, compared, notes, folder)
 
 
 class Elements(HTMLParser):
@@ -194,7 +194,7 @@ def test_commands_are_quoted_for_a_shell_and_failures_have_their_reasons(report:
 def test_figures_and_pictures_of_every_kind_are_on_the_page(report: Path) -> None:
     tags = Elements(report.read_text()).tags
     plots = [attrs["class"] for tag, attrs in tags if tag == "figure"]
-    assert plots == ["plot curves", "plot pareto", "plot cost"]
+    assert plots == ["plot curves", "plot pareto"]
     shown = [
         (attrs["data-method"], attrs["data-kind"])
         for tag, attrs in tags

@@ -9,12 +9,13 @@ import pytest
 from nerfreg.errors import NerfregError
 from nerfreg.reports.paper import (
     PaperRow,
+    published,
     read_paper,
-    rows_of_scene,
     rows_over_scenes,
     vanilla_psnr,
     with_average,
 )
+from nerfreg.reports.records import Setting
 
 HEAD = "table,dataset,views,scene,method,psnr,ssim,lpips,average\n"
 LLFF = {"scene.format": "llff", "scene.split": "llff"}
@@ -44,21 +45,21 @@ def test_rows_that_tables_repeat_are_merged(paper: list[PaperRow]) -> None:
 
 
 def test_scene_and_views_must_match(paper: list[PaperRow]) -> None:
-    rows, notes = rows_of_scene(paper, "fern", 3, LLFF)
+    rows, notes = published(paper, Setting("fern", 3), LLFF)
     assert [row.psnr for row in rows] == [16.0] and notes == [] and vanilla_psnr(rows) == 16.0
-    assert rows_of_scene(paper, "fern", 9, LLFF) == ([], [])
-    assert rows_of_scene(paper, "horns", 3, LLFF) == ([], [])
+    assert published(paper, Setting("fern", 9), LLFF) == ([], [])
+    assert published(paper, Setting("horns", 3), LLFF) == ([], [])
     assert vanilla_psnr([]) is None
 
 
 def test_so_must_the_protocol(paper: list[PaperRow]) -> None:
     chair = {"scene.format": "blender", "scene.split": "nerf_synthetic_8", "scene.factor": 2}
-    assert len(rows_of_scene(paper, "chair", 8, chair)[0]) == 1
-    rows, notes = rows_of_scene(paper, "chair (factor=8)", 8, {**chair, "scene.factor": 8})
+    assert len(published(paper, Setting("chair", 8), chair)[0]) == 1
+    rows, notes = published(paper, Setting("chair (factor=8)", 8), {**chair, "scene.factor": 8})
     assert rows == [] and notes == [
         "The paper's rows are left out, because the runs have scene.factor=8."
     ]
-    assert rows_of_scene(paper, "fern", 3, {"scene.format": "transforms"})[0] == []
+    assert published(paper, Setting("fern", 3), {"scene.format": "transforms"})[0] == []
 
 
 def test_the_average_where_it_was_not_published() -> None:

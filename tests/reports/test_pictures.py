@@ -13,16 +13,15 @@ from nerfreg.errors import NerfregError
 from nerfreg.reports.pictures import (
     SCALES,
     Crop,
+    Rendered,
     compare,
-    error_map,
     largest_difference,
-    psnr,
     read_strip,
     shared_scale,
     telling_views,
 )
-from nerfreg.reports.records import Evaluation, RunRecord
-from nerfreg.reports.sheet import draw_sheets
+from nerfreg.reports.records import EvaluationRecord, RunRecord, Setting
+from nerfreg.reports.sheet import draw_sheet
 
 HEIGHT, WIDTH = 8, 12
 
@@ -49,21 +48,19 @@ def run(
         )
     views = {view: {"psnr": score} for view, score in scores.items()}
     (folder / "results.json").write_text(json.dumps({"test_views": views}))
-    final = Evaluation(100, 60.0, 20.0, None, None, None, None, 3, True)
-    return RunRecord(folder, method, "fern", 3, seed, False, (final,), final, None, None, {}, ())
+    final = EvaluationRecord(100, 60.0, 20.0, views=3, whole=True)
+    return RunRecord(folder, method, Setting("fern", 3), seed, (final,), final)
 
 
 def test_a_strip_is_cut_into_colour_depth_and_photograph(tmp_path: Path) -> None:
     run(tmp_path / "run", "vanilla", {"a": 20.0})
-    strip = read_strip(tmp_path / "run" / "renders" / "a.png")
-    assert [part.shape for part in (strip.color, strip.depth, strip.photograph)] == [
-        (HEIGHT, WIDTH, 3)
-    ] * 3
-    assert [int(part[0, 0, 0]) for part in (strip.color, strip.depth, strip.photograph)] == [
-        100,
-        30,
-        110,
-    ]
+    parts = read_strip(tmp_path / "run" / "renders" / "a.png")
+    assert [part.shape for part in parts] == [(HEIGHT, WIDTH, 3)] * 3
+    assert [int(part[0, 0, 0]) for part in parts] == [100, 30, 110]
+
+
+def rendered(color: np.ndarray, photograph: np.ndarray) -> Rendered:
+    return Rendered("vanilla", Path(), color, color, photograph)
 
 
 @pytest.mark.parametrize("image", [np.zeros((4, 10, 3), np.uint8), np.zeros((4, 8), np.uint8)])
@@ -84,13 +81,13 @@ def test_the_error_is_the_mean_absolute_difference_of_the_channels() -> None:
     color[0, 1] = (255, 51, 0)
     photograph[0, 1] = (0, 102, 0)
     # (255 + 51 + 0) / 3 / 255 = 0.4; bytes must not wrap around where the photograph is brighter
-    assert error_map(color, photograph).tolist() == [[0.0, pytest.approx(0.4)]]
+    assert rendered(color, photograph).error.tolist() == [[0.0, pytest.approx(0.4)]]
 
 
 def test_psnr_by_hand() -> None:
     # an error of 51 / 255 = 0.2 everywhere: -10 log10(0.04) = 13.979 dB
-    assert psnr(plain(151), plain(100)) == pytest.approx(13.9794, abs=1e-4)
-    assert 50 < psnr(plain(100), plain(100)) < 60
+    assert rendered(plain(151), plain(100)).psnr == pytest.approx(13.9794, abs=1e-4)
+    assert 50 < rendered(plain(100), plain(100)).psnr < 60
 
 
 def test_the_detail_is_where_methods_differ_and_not_where_all_are_wrong() -> None:
@@ -149,14 +146,13 @@ def test_methods_are_compared_on_the_view_asked_for(tmp_path: Path) -> None:
         run(tmp_path / "ours", "ours", {"b": 21.0}, plain(161)),
         run(tmp_path / "none", "unrendered", {}),
     ]
-    pictures = compare(records, ["b"])
-    (found,) = pictures.comparisons
+    (found,), notes = compare(records, ["b"])
     assert [shown.method for shown in found.methods] == ["vanilla", "ours"]
     assert found.methods[0].folder == tmp_path / "v0", "the smallest seed stands for a method"
     # errors of 10 / 255 and 51 / 255, recomputed: what the strip has in its last panel is not used
     assert [float(shown.error.max()) for shown in found.methods] == pytest.approx([10 / 255, 0.2])
     assert found.scale == 0.2 and found.crop.side == 2
-    assert pictures.notes == ("fern, 3 views: no pictures of unrendered",)
+    assert notes == ["fern, 3 views: no pictures of unrendered"]
 
 
 def test_a_view_that_nobody_has_is_an_error_that_names_those_there_are(tmp_path: Path) -> None:
@@ -172,16 +168,14 @@ def test_pictures_of_another_size_are_left_out_with_a_note(tmp_path: Path) -> No
         run(tmp_path / "v", "vanilla", {"a": 20.0}),
         run(tmp_path / "half", "half", {"a": 20.0}, plain(100, HEIGHT // 2, WIDTH // 2)),
     ]
-    pictures = compare(records, [])
-    assert [shown.method for shown in pictures.comparisons[0].methods] == ["vanilla"]
-    assert "left out, (4, 6) pixels instead of (8, 12)" in pictures.notes[0]
+    (found,), notes = compare(records)
+    assert [shown.method for shown in found.methods] == ["vanilla"]
+    assert "left out, (4, 6) pixels instead of (8, 12)" in notes[0]
 
 
 def test_without_pictures_there_is_nothing_to_compare(tmp_path: Path) -> None:
-    pictures = compare([run(tmp_path / "none", "vanilla", {})], [])
-    assert pictures.comparisons == () and pictures.notes == (
-        "fern, 3 views: no pictures of vanilla",
-    )
+    compared, notes = compare([run(tmp_path / "none", "vanilla", {})])
+    assert compared == [] and notes == ["fern, 3 views: no pictures of vanilla"]
 
 
 def test_a_sheet_shows_every_pixel_of_every_method_in_its_row(tmp_path: Path) -> None:
@@ -197,7 +191,8 @@ def test_a_sheet_shows_every_pixel_of_every_method_in_its_row(tmp_path: Path) ->
             green,
         ),
     ]
-    (path,) = draw_sheets(compare(records, []).comparisons, tmp_path / "sheets")
+    (compared,), _ = compare(records)
+    (path,) = draw_sheet(compared, tmp_path / "sheets")
     assert path.name == "fern-3-a.png"
     sheet = iio.imread(path)[..., :3].astype(int)
     rows = [np.flatnonzero((sheet == color).all(-1).any(1)) for color in ((0, 0, 255), (0, 255, 0))]

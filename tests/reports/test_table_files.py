@@ -7,11 +7,13 @@ from collections.abc import Callable
 from pathlib import Path
 
 from nerfreg.reports.collect import collect
-from nerfreg.reports.comparison import comparisons, cost_tables
-from nerfreg.reports.grouping import Setting
+from nerfreg.reports.comparison import comparisons
 from nerfreg.reports.paper import PaperRow
-from nerfreg.reports.table_files import latex, latex_text, markdown, write_tables
-from nerfreg.reports.tables import Cell, Column, Row, Table
+from nerfreg.reports.records import Setting
+from nerfreg.reports.table_files import latex, markdown, write_tables
+from nerfreg.reports.tables import Column, Row, Table, TableCell
+from nerfreg.reports.templates import latex_text
+from nerfreg.reports.timing import cost_tables
 
 TABLE = Table(
     "fern, 3 views",
@@ -20,19 +22,21 @@ TABLE = Table(
     (
         Row(
             "depth_smoothness",
-            (Cell(22.214, 0.1, 3, best=True), Cell(0.2, None, 1, second=True)),
+            (TableCell(22.214, 0.1, 3, best=True), TableCell(0.2, None, 1, second=True)),
             3,
         ),
-        Row("a|b", (Cell(None), Cell(3.0, at_most=True)), 1),
-        Row("c", (Cell(None, text="not reached"), Cell(0.1)), 1),
-        Row("vanilla (paper)", (Cell(17.79), Cell(None)), paper=True),
+        Row("a|b", (TableCell(None), TableCell(3.0, at_most=True)), 1),
+        Row("c", (TableCell(None, text="not reached"), TableCell(0.1)), 1),
+        Row("vanilla (paper)", (TableCell(17.79), TableCell(None)), paper=True),
     ),
     notes=("100 % of a_b <x>",),
 )
 
 
 def test_markdown() -> None:
-    assert markdown(TABLE) == (
+    assert markdown([TABLE]) == (
+        "Bold: best. Italic: second best. ±: standard deviation.\n"
+        "\n"
         "## fern, 3 views\n"
         "\n"
         "| method | PSNR (dB) ↑ | LPIPS ↓ | seeds |\n"
@@ -42,7 +46,7 @@ def test_markdown() -> None:
         "| c | not reached | 0.100 | 1 |\n"
         "| vanilla (paper) | 17.79 | n/a |  |\n"
         "\n"
-        "- 100 % of a_b \\<x\\>"
+        "- 100 % of a_b \\<x\\>\n"
     )
 
 

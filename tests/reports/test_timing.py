@@ -10,17 +10,19 @@ from typing import Any
 import pytest
 
 from nerfreg.reports.collect import collect
-from nerfreg.reports.records import Evaluation
-from nerfreg.reports.timing import Crossing, costs, seconds_to_psnr
+from nerfreg.reports.records import EvaluationRecord
+from nerfreg.reports.tables import Row
+from nerfreg.reports.timing import Crossing, cost_tables, seconds_to_psnr
 
 
-def evaluations(*points: tuple[float, float | None]) -> list[Evaluation]:
+def evaluations(*points: tuple[float, float | None]) -> list[EvaluationRecord]:
     return [
-        Evaluation(1, seconds, psnr, None, None, None, None, 2, False) for seconds, psnr in points
+        EvaluationRecord(1, seconds, psnr, None, None, None, None, 2, False)
+        for seconds, psnr in points
     ]
 
 
-def seconds(curve: list[Evaluation], psnr: float) -> float:
+def seconds(curve: list[EvaluationRecord], psnr: float) -> float:
     crossing = seconds_to_psnr(curve, psnr)
     assert crossing is not None and not crossing.at_most
     return crossing.seconds
@@ -56,6 +58,10 @@ def test_evaluations_without_psnr_or_time_are_passed_over() -> None:
     assert seconds(curve, 17.5) == pytest.approx(100.0)
 
 
+def cost_rows(folder: Path) -> dict[str, Row]:
+    return {row.label: row for table in cost_tables(collect([folder])) for row in table.rows}
+
+
 def train(threads: int = 1, **keys: Any) -> dict[str, Any]:
     return {"train": {"steps": None, "seconds": 100.0, "threads": threads, **keys}}
 
@@ -85,16 +91,14 @@ def test_cost_is_relative_to_vanilla_under_the_same_conditions(
     for line in (tmp_path).glob("*/metrics.jsonl"):
         line.unlink()  # results.json says it all
     # budgets differ, so they are named
-    found = {cost.method: cost for cost in costs(collect([tmp_path]))}
-    assert found["vanilla, 100 s"].seconds_per_step == pytest.approx(
-        0.011
-    )  # the median of 10, 11 and 30 ms
-    assert (found["vanilla, 100 s"].relative, found["vanilla, 100 s"].runs) == (
-        pytest.approx(1.0),
-        3,
-    )
-    assert found["kl, 100 s"].relative == pytest.approx(2.0)
-    assert found["lipschitz, 1000 steps"].relative is None  # vanilla was given seconds
+    found = cost_rows(tmp_path)
+    # the median of 10, 11 and 30 ms
+    vanilla, kl = found["vanilla, 100 s"], found["kl, 100 s"]
+    assert [cell.value for cell in vanilla.cells] == pytest.approx([11.0, 1.0])
+    assert vanilla.count == 3
+    assert [cell.value for cell in kl.cells] == pytest.approx([22.0, 2.0])
+    # vanilla was given seconds
+    assert found["lipschitz, 1000 steps"].cells[1].value is None
 
 
 def test_cost_with_other_threads_or_settings_has_no_relation(
@@ -107,8 +111,12 @@ def test_cost_with_other_threads_or_settings_has_no_relation(
         ["+reg=lipschitz", "train.rays=2"],
         config={**train(rays=2), "reg": {"lipschitz": {"weight": 1.0}}},
     )
-    relative = {cost.method: (cost.threads, cost.relative) for cost in costs(collect([tmp_path]))}
-    assert relative == {"vanilla": (1, 1.0), "kl": (2, None), "lipschitz, train.rays=2": (1, None)}
+    relative = {label: row.cells[1].value for label, row in cost_rows(tmp_path).items()}
+    assert relative == {
+        "vanilla, 1 thread": 1.0,
+        "kl, 2 threads": None,
+        "lipschitz, train.rays=2, 1 thread": None,
+    }
 
 
 def test_the_cost_of_runs_that_go_on_is_known_and_of_failed_ones_is_not(
@@ -117,7 +125,29 @@ def test_the_cost_of_runs_that_go_on_is_known_and_of_failed_ones_is_not(
     write_run("a", evaluations=((20.0, 5.0),), complete=False)
     (write_run("b", ["sampler=x"]) / "failed.json").write_text("{}")
     write_run("c", ["sampler=y"], evaluations=(), complete=False)
-    (cost,) = costs(collect([tmp_path]))
-    assert cost.method == "vanilla" and cost.seconds_per_step == pytest.approx(
-        0.1
-    )  # 10 steps a second
+    write_run("d", ["sampler=z"])
+    # 10 steps a second
+    costs = {label: row.cells[0].value for label, row in cost_rows(tmp_path).items()}
+    assert costs == {"vanilla": pytest.approx(100.0), "vanilla, sampler=z": pytest.approx(100.0)}
+
+
+def test_costs(write_run: Callable[..., Path], tmp_path: Path) -> None:
+    write_run("a")
+    write_run(
+        "b",
+        ["+reg=kl"],
+        evaluations=((10.0, 15.0), (100.0, 20.0)),
+        config={"reg": {"kl": {"weight": 1.0}}},
+    )
+    (table,) = cost_tables(collect([tmp_path]))
+    # conftest.py: ten steps a second
+    assert [(row.label, row.cells[0].value, row.cells[1].value) for row in table.rows] == [
+        ("vanilla", pytest.approx(100.0), pytest.approx(1.0)),
+        ("kl", pytest.approx(100.0), pytest.approx(1.0)),
+    ]
+    assert "Trained with 1 thread." in table.notes
+
+
+def test_one_method_has_no_cost_to_compare(write_run: Callable[..., Path], tmp_path: Path) -> None:
+    write_run("a")
+    assert cost_tables(collect([tmp_path])) == []

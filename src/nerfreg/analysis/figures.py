@@ -24,7 +24,7 @@ MARKERS = ("o", "s", "^", "D", "v", "p", "<", ">", "h", "d")
 DASHES: tuple[Any, ...] = ("solid", (0, (5, 1.6)), (0, (5, 1.5, 1, 1.5)))
 INK, GUIDE, FAINT, GRID = "#1b1f24", "#6b7280", "#a3a9b2", "#e4e6e9"
 """Text; axes, notes and guides; what stands back; the grid."""
-DPI = 200
+DPI = 200.0
 
 
 @dataclass(frozen=True)

@@ -29,7 +29,7 @@ PARETO = (
     "all test views at the end, mean and range over seeds; dashed: nothing is better and faster"
 )
 
-Points = Float[np.ndarray, "points 2"]
+Points = Float[np.ndarray, "_ 2"]
 """Seconds of training and a metric, in the order of time; all seconds > 0, all values known."""
 
 

@@ -25,7 +25,7 @@ SCALES = (0.1, 0.2, 0.3, 0.5, 1.0)
 CROP = 0.25
 """Side of the detail, as a share of the shorter side of the picture."""
 
-Image = UInt8[np.ndarray, "height width 3"]
+Image = UInt8[np.ndarray, "_ _ 3"]
 
 
 @dataclass(frozen=True)
@@ -41,16 +41,16 @@ class Rendered:
     @property
     def error(self) -> Float[np.ndarray, "height width"]:
         """Mean over the three channels of the absolute difference."""
-        return np.abs(self._difference()).mean(-1)
+        return np.abs(self._difference()).mean(-1) / 255
 
     @property
     def psnr(self) -> float:
         """In dB; of equal images that of half a step of 1/255."""
-        error = (self._difference() ** 2).mean()
+        error = (self._difference() ** 2).mean() / 255**2
         return float(-10 * np.log10(max(error, (0.5 / 255) ** 2)))
 
     def _difference(self) -> Float[np.ndarray, "height width 3"]:
-        return (self.color.astype(np.float64) - self.photograph.astype(np.float64)) / 255
+        return self.color.astype(np.float64) - self.photograph.astype(np.float64)
 
 
 @dataclass(frozen=True)

@@ -65,4 +65,4 @@ def draw_sheet(compared: ComparedView, folder: Path) -> list[Path]:
             bar.set_ticks([0, 1], labels=list(ends))
             bar.set_label(label, labelpad=-8)
         stem = folder / f"{compared.setting.name}-{slug(compared.view)}"
-        return save(figure, stem, (".png",), dpi=min(max(pixels / WIDTH, 150), 300))
+        return save(figure, stem, (".png",), dpi=min(max(pixels / WIDTH, 150.0), 300.0))

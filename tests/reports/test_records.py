@@ -1,43 +1,13 @@
-"""Means and deviations, by hand; which of several runs of one seed counts."""
+"""Which of several runs of one seed counts, and the order of methods."""
 
 from __future__ import annotations
 
-import math
 import os
 from collections.abc import Callable
-from dataclasses import astuple
 from pathlib import Path
 
-import pytest
-
 from nerfreg.reports.collect import collect
-from nerfreg.reports.grouping import Setting
-from nerfreg.reports.statistics import (
-    Statistic,
-    mean_of_means,
-    ordered_methods,
-    summarize,
-    without_repetitions,
-)
-
-
-def test_sample_standard_deviation() -> None:
-    # 1, 2, 6: mean 3, squares 4 + 1 + 9 = 14 over n - 1 = 2
-    found = summarize([1.0, None, 2.0, 6.0])
-    assert found is not None and astuple(found) == pytest.approx((3.0, math.sqrt(7), 3))
-    assert summarize([4.0, None]) == Statistic(4.0, None, 1)
-    assert summarize([None]) is None and summarize([]) is None
-
-
-def test_means_over_scenes_weigh_scenes_alike() -> None:
-    # one scene with five seeds, one with two: (10 + 20) / 2; sqrt(0.3^2 + 0.4^2) / 2
-    found = mean_of_means([Statistic(10.0, 0.3, 5), Statistic(20.0, 0.4, 2)])
-    assert found is not None and astuple(found) == pytest.approx((15.0, 0.25, 7))
-    assert mean_of_means([Statistic(10.0, 0.3, 5), Statistic(20.0, None, 1)]) == Statistic(
-        15.0, None, 6
-    )
-    assert mean_of_means([Statistic(10.0, 0.3, 5), None]) is None
-    assert mean_of_means([]) is None
+from nerfreg.reports.records import Setting, by_method, without_repetitions
 
 
 def test_the_last_complete_run_of_a_seed_counts(
@@ -80,7 +50,7 @@ def test_vanilla_stands_first(write_run: Callable[..., Path], tmp_path: Path) ->
     write_run("1", ["+reg=a"])
     write_run("2", ["sampler=x"])
     write_run("3")
-    assert [*ordered_methods(collect([tmp_path]), "vanilla")] == [
+    assert [*by_method(collect([tmp_path]))] == [
         "vanilla",
         "vanilla, sampler=x",
         "b",
