@@ -11,7 +11,8 @@ import pytest
 
 from nerfreg.errors import NerfregError
 from nerfreg.reports.collect import collect
-from nerfreg.reports.records import EvaluationRecord, Setting
+from nerfreg.reports.records import Setting
+from nerfreg.runs.records import EvaluationRecord
 
 
 def test_a_complete_run(write_run: Callable[..., Path]) -> None:

@@ -12,7 +12,8 @@ import pytest
 from nerfreg.analysis.figures import Style, styles
 from nerfreg.reports.curves import band, curve, draw_curves, draw_pareto, finals
 from nerfreg.reports.paper import PaperRow, with_average
-from nerfreg.reports.records import EvaluationRecord, RunRecord, Setting, by_method
+from nerfreg.reports.records import NamedRun, by_method
+from nerfreg.runs.records import EvaluationRecord
 
 Score = float | None
 
@@ -27,13 +28,13 @@ def score(
 
 def run(
     *evaluations: EvaluationRecord, complete: bool = True, method: str = "vanilla", seed: int = 0
-) -> RunRecord:
+) -> NamedRun:
     final = evaluations[-1] if complete else None
     folder = Path(f"{method}-{seed}")
-    return RunRecord(folder, method, Setting("fern", 3), seed, evaluations, final)
+    return NamedRun(folder, "fern", 3, False, seed, evaluations, final, method=method)
 
 
-def looks(runs: list[RunRecord]) -> dict[str, Style]:
+def looks(runs: list[NamedRun]) -> dict[str, Style]:
     return {style.label: style for style in styles(list(by_method(runs)))}
 
 
@@ -65,10 +66,10 @@ def test_seeds_meet_at_common_times_and_in_between_values_are_linear_in_log_time
     # from 10 to 1000, is at (11 + 31) / 2 = 21.
     found = band([points((1.0, 100.0), (10.0, 20.0)), points((10.0, 1000.0), (11.0, 31.0))])
     assert found is not None
-    assert found.seconds.tolist() == [10.0, 100.0]
-    assert found.mean.tolist() == pytest.approx([13.0, 20.5])
-    assert found.low.tolist() == pytest.approx([11.0, 20.0])
-    assert found.high.tolist() == pytest.approx([15.0, 21.0])
+    assert found[0].tolist() == [10.0, 100.0]
+    assert found[1].tolist() == pytest.approx([13.0, 20.5])
+    assert found[2].tolist() == pytest.approx([11.0, 20.0])
+    assert found[3].tolist() == pytest.approx([15.0, 21.0])
 
 
 def test_a_band_has_the_times_of_all_seeds() -> None:
@@ -77,14 +78,14 @@ def test_a_band_has_the_times_of_all_seeds() -> None:
         [points((10.0, 1000.0), (0.0, 4.0)), points((10.0, 100.0, 1000.0), (0.0, 6.0, 4.0))]
     )
     assert found is not None
-    assert found.seconds.tolist() == [10.0, 100.0, 1000.0]
-    assert found.mean.tolist() == pytest.approx([0.0, 4.0, 4.0])
+    assert found[0].tolist() == [10.0, 100.0, 1000.0]
+    assert found[1].tolist() == pytest.approx([0.0, 4.0, 4.0])
 
 
 def test_one_seed_is_its_own_mean_and_has_no_width() -> None:
     found = band([points((1.0, 2.0, 4.0), (3.0, 5.0, 4.0))])
     assert found is not None
-    assert found.mean.tolist() == found.low.tolist() == found.high.tolist() == [3.0, 5.0, 4.0]
+    assert found[1].tolist() == found[2].tolist() == found[3].tolist() == [3.0, 5.0, 4.0]
 
 
 @pytest.mark.parametrize(

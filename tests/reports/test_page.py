@@ -19,9 +19,10 @@ import pytest
 from nerfreg.reports.figures import draw_figures
 from nerfreg.reports.page import write_page
 from nerfreg.reports.pictures import compare
-from nerfreg.reports.records import EvaluationRecord, RunRecord, Setting
+from nerfreg.reports.records import NamedRun
 from nerfreg.reports.sheet import draw_sheet
 from nerfreg.reports.tables import Column, Row, Table, TableCell
+from nerfreg.runs.records import EvaluationRecord
 
 BROWSER = next(
     filter(None, map(shutil.which, ("chromium", "google-chrome", "chromium-browser"))), None
@@ -45,7 +46,7 @@ TABLE = Table(
 
 def run(
     folder: Path, method: str, color: int, failure: str | None = None, seed: int = 0
-) -> RunRecord:
+) -> NamedRun:
     """A run of fern with pictures of two views, 8 x 12 pixels, or one that failed."""
     early = EvaluationRecord(100, 10.0, 15.0, None, None, 0.3, None, 2, False)
     late = EvaluationRecord(900, 90.0, 17.0, None, None, 0.2, None, 2, False)
@@ -61,17 +62,8 @@ def run(
     evaluations = (early, late) if final is None else (early, late, final)
     command = ("scene=llff", "scene.path=my data/fern", f"+reg=[{method}]", f"seed={seed}")
     settings = {} if method == "vanilla" else {f"reg.{method}.weight": 1.0}
-    return RunRecord(
-        folder,
-        method,
-        Setting("fern", 3),
-        seed,
-        evaluations,
-        final,
-        settings,
-        command,
-        failure=failure,
-    )
+    about = (folder, "fern", 3, False, seed, evaluations, final, settings, command)
+    return NamedRun(*about, method=method, failure=failure)
 
 
 @pytest.fixture(scope="module")
@@ -90,7 +82,7 @@ def report(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return write(records, [TABLE], folder / "out")
 
 
-def write(records: list[RunRecord], tables: list[Table], folder: Path) -> Path:
+def write(records: list[NamedRun], tables: list[Table], folder: Path) -> Path:
     compared, notes = compare(records)
     for view in compared:
         draw_sheet(view, folder / "pictures")

@@ -20,8 +20,9 @@ from nerfreg.reports.pictures import (
     shared_scale,
     telling_views,
 )
-from nerfreg.reports.records import EvaluationRecord, RunRecord, Setting
+from nerfreg.reports.records import NamedRun
 from nerfreg.reports.sheet import draw_sheet
+from nerfreg.runs.records import EvaluationRecord
 
 HEIGHT, WIDTH = 8, 12
 
@@ -36,7 +37,7 @@ def run(
     scores: dict[str, float],
     color: np.ndarray | None = None,
     seed: int = 0,
-) -> RunRecord:
+) -> NamedRun:
     """A run whose pictures have the colour given (100), depth 30, photograph 110 and an error that is not used."""
     color = plain(100) if color is None else color
     depth, photograph, wrong = (plain(value, *color.shape[:2]) for value in (30, 110, 200))
@@ -49,7 +50,7 @@ def run(
     views = {view: {"psnr": score} for view, score in scores.items()}
     (folder / "results.json").write_text(json.dumps({"test_views": views}))
     final = EvaluationRecord(100, 60.0, 20.0, views=3, whole=True)
-    return RunRecord(folder, method, Setting("fern", 3), seed, (final,), final)
+    return NamedRun(folder, "fern", 3, False, seed, (final,), final, method=method)
 
 
 def test_a_strip_is_cut_into_colour_depth_and_photograph(tmp_path: Path) -> None:
@@ -129,14 +130,14 @@ def test_the_view_of_median_psnr_and_the_one_where_methods_differ_most() -> None
     vanilla = {"a": 10.0, "b": 20.0, "c": 30.0, "d": 5.0, "only-here": 50.0}
     ours = {"a": 11.0, "b": 21.0, "c": 36.0, "d": 6.0}
     # sums a 21, b 41, c 66, d 11: of four the lower middle is a; differences a 1, b 1, c 6, d 1
-    assert telling_views({"vanilla": vanilla, "ours": ours}) == ["a", "c"]
+    assert telling_views([vanilla, ours]) == ["a", "c"]
 
 
 def test_one_view_if_it_is_both_or_if_there_is_one_method() -> None:
-    assert telling_views({"vanilla": {"a": 1.0}, "ours": {"a": 2.0}}) == ["a"]
-    assert telling_views({"vanilla": {"a": 1.0, "b": 5.0, "c": 3.0}}) == ["c"]
-    assert telling_views({"vanilla": {"a": 1.0}, "ours": {"b": 2.0}}) == []
-    assert telling_views({}) == []
+    assert telling_views([{"a": 1.0}, {"a": 2.0}]) == ["a"]
+    assert telling_views([{"a": 1.0, "b": 5.0, "c": 3.0}]) == ["c"]
+    assert telling_views([{"a": 1.0}, {"b": 2.0}]) == []
+    assert telling_views([]) == []
 
 
 def test_methods_are_compared_on_the_view_asked_for(tmp_path: Path) -> None:

@@ -10,9 +10,9 @@ from typing import Any
 import pytest
 
 from nerfreg.reports.collect import collect
-from nerfreg.reports.records import EvaluationRecord
 from nerfreg.reports.tables import Row
 from nerfreg.reports.timing import Crossing, cost_tables, seconds_to_psnr
+from nerfreg.runs.records import EvaluationRecord
 
 
 def evaluations(*points: tuple[float, float | None]) -> list[EvaluationRecord]:

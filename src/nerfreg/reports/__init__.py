@@ -1,1 +1,1 @@
-"""What run folders say, side by side: tables, curves of error against run time, pictures, one page. Needs no torch."""
+"""Runs side by side: tables, curves of error against run time, pictures, a page. Needs no torch."""

@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 
 from nerfreg.analysis.figures import GUIDE, Style, panels, save, shortened
-from nerfreg.reports.records import RunRecord, by_method, complete
+from nerfreg.reports.records import NamedRun, by_method, complete
 
 Metric = Literal["average", "psnr"]
 METRICS: dict[Metric, str] = {
@@ -32,7 +32,7 @@ TIMES = (1, 2, 5, 10, 20, 30, 60, 120, 300, 600, 1200, 1800, 3600, 7200, 18000, 
 
 
 def draw_scores(
-    runs: Sequence[RunRecord],
+    runs: Sequence[NamedRun],
     styles: Mapping[str, Style],
     title: str,
     reading: str,
@@ -100,7 +100,7 @@ def _time_axis(panel: Axes, seconds: Sequence[float]) -> None:
     panel.set_xticks([], minor=True)
 
 
-def _handle(runs: Sequence[RunRecord], style: Style) -> Line2D:
+def _handle(runs: Sequence[NamedRun], style: Style) -> Line2D:
     seeds = len(complete(runs))
     count = f" ({seeds} seeds)" if seeds > 1 else "" if seeds else " (not complete)"
     return Line2D(

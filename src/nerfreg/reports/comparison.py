@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 from nerfreg.reports.paper import PaperRow, published, rows_over_scenes, vanilla_psnr
 from nerfreg.reports.records import (
-    RunRecord,
+    NamedRun,
     Setting,
     by_method,
     by_setting,
@@ -50,7 +50,7 @@ class _Scene:
     """A scene's runs, what was published on it, and the PSNR whose time is wanted."""
 
     setting: Setting
-    runs: list[RunRecord]
+    runs: list[NamedRun]
     paper: list[PaperRow]
     target: float | None
     notes: list[str]
@@ -61,7 +61,7 @@ class _Scene:
 
 
 def comparisons(
-    runs: Sequence[RunRecord],
+    runs: Sequence[NamedRun],
     paper: Sequence[PaperRow] = (),
     psnr: float | None = None,
     notes: Mapping[Setting, Sequence[str]] | None = None,
@@ -80,20 +80,17 @@ def comparisons(
         target = vanilla_psnr(rows) if psnr is None else psnr
         remarks += (notes or {}).get(setting, ())
         scenes.append(_Scene(setting, own, rows, target, remarks))
-    over = [_over_scenes(title, group, paper) for title, group in _families(scenes)]
+    over = [_over_scenes(family, group, paper) for family, group in _families(scenes)]
     over = [table for table in over if any(not row.paper for row in table.rows)]
     return [*map(_of_scene, scenes), *over]
 
 
 def _of_scene(scene: _Scene) -> Table:
     columns = _columns([scene], None if scene.target is None else f"to {scene.target:g} dB")
-    rows = []
-    for method, runs in by_method(scene.runs).items():
-        done = complete(runs)
-        cells = tuple(_cell(column, done, scene.target) for column in columns)
-        rows.append(Row(method, cells, len(done)))
+    methods = by_method(scene.runs).items()
+    rows = [_row(method, [(scene, complete(runs))], columns) for method, runs in methods]
     notes = [f"All runs: {scene.shared}."] if scene.shared else []
-    notes += [note for run in scene.runs if (note := _left_out(run))]
+    notes += [_left_out(run) for run in scene.runs if run.final is None]
     notes += [
         f"{column.name} of {row.label}: from {cell.count} of {row.count} runs."
         for row in rows
@@ -101,40 +98,26 @@ def _of_scene(scene: _Scene) -> Table:
         if 0 < cell.count < row.count
     ]
     notes += [*scene.notes, *_notes_on_columns(columns, [scene], scene.paper)]
-    return Table(
-        title=scene.setting.title,
-        name=scene.setting.name,
-        columns=columns,
-        rows=marked(columns, [*rows, *_paper_rows(scene.paper, columns)]),
-        notes=tuple(notes),
-        setting=scene.setting,
-        target=scene.target,
-    )
+    rows = [*rows, *_paper_rows(scene.paper, columns)]
+    title, name = scene.setting.title, scene.setting.name
+    table = Table(title, name, columns, marked(columns, rows), notes=tuple(notes))
+    return replace(table, setting=scene.setting, target=scene.target)
 
 
-def _over_scenes(title: str, scenes: Sequence[_Scene], paper: Sequence[PaperRow]) -> Table:
+def _over_scenes(family: str, scenes: Sequence[_Scene], paper: Sequence[PaperRow]) -> Table:
     timed = all(scene.target is not None for scene in scenes)
     columns = _columns(scenes, "to PSNR" if timed else None)
-    done = [by_method(complete(scene.runs)) for scene in scenes]
+    done = [(scene, by_method(complete(scene.runs))) for scene in scenes]
     rows: list[Row] = []
     incomplete: dict[str, list[str]] = {}
     for method in by_method(run for scene in scenes for run in scene.runs):
-        known = list(zip(scenes, (of_scene.get(method, []) for of_scene in done), strict=True))
-        lacking = [scene.setting.title for scene, runs in known if not runs]
-        if lacking:
+        known = [(scene, methods[method]) for scene, methods in done if method in methods]
+        if len(known) == len(scenes):
+            rows.append(_row(method, known, columns))
+        else:
+            lacking = [scene.setting.title for scene, methods in done if method not in methods]
             incomplete.setdefault("; ".join(lacking), []).append(method)
-            continue
-        cells = (
-            mean_over_scenes([_cell(column, runs, scene.target) for scene, runs in known])
-            for column in columns
-        )
-        rows.append(Row(method, tuple(cells), sum(len(runs) for _, runs in known)))
-    names = [scene.setting.scene for scene in scenes]
-    published_means = (
-        []
-        if scenes[0].setting.held_out
-        else rows_over_scenes(paper, [scene.paper for scene in scenes])
-    )
+    means = rows_over_scenes(paper, [scene.paper for scene in scenes])
     notes = [
         f"Left out, without a complete run on {where}: {', '.join(methods)}."
         for where, methods in incomplete.items()
@@ -142,20 +125,16 @@ def _over_scenes(title: str, scenes: Sequence[_Scene], paper: Sequence[PaperRow]
     if len({scene.shared for scene in scenes}) > 1:
         notes += [f"{s.setting.title}: all runs have {s.shared or 'no override'}." for s in scenes]
     if timed:
-        targets = (f"{s.setting.scene} {s.target:g} dB" for s in scenes)
-        notes.append(f"PSNR to reach: {', '.join(targets)}.")
+        targets = ", ".join(f"{s.setting.scene} {s.target:g} dB" for s in scenes)
+        notes.append(f"PSNR to reach: {targets}.")
     notes.append(
-        f"Means over {', '.join(names)} of the means over seeds; ± is the standard deviation of a "
-        "mean over one run of each scene."
+        f"Means over {', '.join(scene.setting.scene for scene in scenes)} of the means over seeds; "
+        "± is the standard deviation of a mean over one run of each scene."
     )
-    return Table(
-        title=f"Mean over {title}",
-        name=slug(f"mean {title}"),
-        columns=columns,
-        rows=marked(columns, [*rows, *_paper_rows(published_means, columns)]),
-        counted="runs",
-        notes=(*notes, *_notes_on_columns(columns, scenes, published_means)),
-    )
+    notes += _notes_on_columns(columns, scenes, means)
+    rows = [*rows, *_paper_rows(means, columns)]
+    title, name = f"Mean over {family}", slug(f"mean {family}")
+    return Table(title, name, columns, marked(columns, rows), "runs", tuple(notes))
 
 
 def _families(scenes: Sequence[_Scene]) -> list[tuple[str, list[_Scene]]]:
@@ -194,19 +173,29 @@ def _columns(scenes: Sequence[_Scene], timed: str | None) -> tuple[Column, ...]:
     return (*SCORES, *[DEPTH][: int(deep)], replace(TRAIN, format=digits), SPEED, *reached)
 
 
-def _cell(column: Column, runs: Sequence[RunRecord], target: float | None) -> TableCell:
+def _row(
+    method: str, known: Sequence[tuple[_Scene, list[NamedRun]]], columns: Sequence[Column]
+) -> Row:
+    cells = [
+        mean_over_scenes([_cell(column, runs, scene.target) for scene, runs in known])
+        for column in columns
+    ]
+    return Row(method, tuple(cells), sum(len(runs) for _, runs in known))
+
+
+def _cell(column: Column, runs: Sequence[NamedRun], target: float | None) -> TableCell:
     if column.key == REACHED.key:
         return _reached(runs, target or 0.0)
     return mean_of(_value(column, run) for run in runs)
 
 
-def _value(column: Column, run: RunRecord) -> float | None:
+def _value(column: Column, run: NamedRun) -> float | None:
     if column.key == SPEED.key:
         return None if run.points_per_second is None else run.points_per_second / 1e6
     return getattr(run.final, column.key, None)
 
 
-def _reached(runs: Sequence[RunRecord], psnr: float) -> TableCell:
+def _reached(runs: Sequence[NamedRun], psnr: float) -> TableCell:
     """Return the mean time to a PSNR.
 
     There is none where some run never gets there, for the mean of the others says too little.
@@ -221,25 +210,20 @@ def _reached(runs: Sequence[RunRecord], psnr: float) -> TableCell:
 
 
 def _paper_rows(rows: Iterable[PaperRow], columns: Sequence[Column]) -> list[Row]:
-    published = {column.key for column in SCORES}
     return [
         Row(
             f"{row.method} (paper)",
-            tuple(TableCell(getattr(row, c.key) if c.key in published else None) for c in columns),
+            tuple(TableCell(getattr(row, column.key, None)) for column in columns),
             paper=True,
         )
         for row in rows
     ]
 
 
-def _left_out(run: RunRecord) -> str | None:
+def _left_out(run: NamedRun) -> str:
     """Return why a run is not in the means."""
-    if run.final is not None:
-        return None
-    if run.failure is not None:
-        problem = f"failed: {run.failure}"
-    else:
-        problem = f"is not complete and not in the means: {run.progress}"
+    unfinished = f"is not complete and not in the means: {run.progress}"
+    problem = unfinished if run.failure is None else f"failed: {run.failure}"
     return f"{run.method}, seed {run.seed}, {problem} ({run.folder})"
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import statistics
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -18,7 +17,8 @@ from nerfreg.analysis.figures import GUIDE, Style
 from nerfreg.analysis.pareto import front
 from nerfreg.reports.axes import PANEL, Metric, draw_scores
 from nerfreg.reports.paper import PaperRow
-from nerfreg.reports.records import EvaluationRecord, RunRecord, by_method, complete
+from nerfreg.reports.records import NamedRun, by_method, complete
+from nerfreg.runs.records import EvaluationRecord
 
 PUBLISHED_LINE = 9.0
 """Height of the name of a published number in points, with what the axes take."""
@@ -33,16 +33,6 @@ Points = Float[np.ndarray, "_ 2"]
 """Seconds of training and a metric, in the order of time; all seconds > 0, all values known."""
 
 
-@dataclass(frozen=True)
-class Band:
-    """Mean, smallest and largest over seeds at common times."""
-
-    seconds: Float[np.ndarray, " times"]
-    mean: Float[np.ndarray, " times"]
-    low: Float[np.ndarray, " times"]
-    high: Float[np.ndarray, " times"]
-
-
 def points(evaluations: Iterable[EvaluationRecord], metric: Metric) -> Points:
     """Return what there is to draw of a metric."""
     known = [(each.train_seconds, getattr(each, metric)) for each in evaluations]
@@ -50,7 +40,7 @@ def points(evaluations: Iterable[EvaluationRecord], metric: Metric) -> Points:
     return np.array(known, dtype=float).reshape(-1, 2)
 
 
-def curve(run: RunRecord, metric: Metric) -> Points:
+def curve(run: NamedRun, metric: Metric) -> Points:
     """Return what a run's curve goes through: evaluations on a part of the test views.
 
     Where there are none, all evaluations. The two are not mixed, since another choice of views
@@ -60,15 +50,15 @@ def curve(run: RunRecord, metric: Metric) -> Points:
     return points(partial_views or run.evaluations, metric)
 
 
-def finals(runs: Iterable[RunRecord], metric: Metric) -> Points:
+def finals(runs: Iterable[NamedRun], metric: Metric) -> Points:
     """Return the final scores of all test views, of the runs that have them."""
     return points((run.final for run in runs if run.final), metric)
 
 
-def band(curves: Sequence[Points]) -> Band | None:
-    """Return mean and extremes over seeds where all have data, or None without two such times.
+def band(curves: Sequence[Points]) -> Float[np.ndarray, "4 times"] | None:
+    """Return times at which all seeds have data, and mean, smallest and largest value at these.
 
-    Between evaluations values are linear in the logarithm of time.
+    Between evaluations values are linear in the logarithm of time. None: there are not two times.
     """
     if not curves or not all(map(len, curves)):
         return None
@@ -79,11 +69,11 @@ def band(curves: Sequence[Points]) -> Band | None:
         return None
     times = np.log(seconds)
     values = np.stack([np.interp(times, np.log(each[:, 0]), each[:, 1]) for each in curves])
-    return Band(seconds, values.mean(0), values.min(0), values.max(0))
+    return np.stack([seconds, values.mean(0), values.min(0), values.max(0)])
 
 
 def draw_curves(
-    runs: Sequence[RunRecord],
+    runs: Sequence[NamedRun],
     styles: Mapping[str, Style],
     title: str,
     stem: Path,
@@ -111,7 +101,7 @@ def draw_curves(
 
 
 def draw_pareto(
-    runs: Sequence[RunRecord], styles: Mapping[str, Style], title: str, stem: Path
+    runs: Sequence[NamedRun], styles: Mapping[str, Style], title: str, stem: Path
 ) -> list[Path]:
     """Draw final average error and PSNR against training time, and their front as a step line.
 
@@ -132,7 +122,7 @@ def draw_pareto(
 
 
 def _draw_method(
-    panel: Axes, runs: Sequence[RunRecord], style: Style, metric: Metric
+    panel: Axes, runs: Sequence[NamedRun], style: Style, metric: Metric
 ) -> list[float]:
     """Draw what a method has, and return all times at which there is something."""
     ended = [curve(run, metric) for run in complete(runs)]
@@ -141,19 +131,18 @@ def _draw_method(
     if common is None:
         loose += ended
     else:
-        x, color = common.seconds, style.color
-        panel.plot(x, common.mean, color=color, linestyle=style.dash, zorder=3)
+        x, mean, low, high = common
+        panel.plot(x, mean, color=style.color, linestyle=style.dash, zorder=3)
         if len(ended) > 1:
-            panel.fill_between(
-                x, common.low, common.high, color=color, alpha=0.16, linewidth=0, zorder=2
-            )
+            area: dict[str, Any] = {"alpha": 0.16, "linewidth": 0, "zorder": 2}
+            panel.fill_between(x, low, high, color=style.color, **area)
     for each in loose:
         look: dict[str, Any] = {"linestyle": ":", "linewidth": 1, "marker": ".", "markersize": 3}
         panel.plot(each[:, 0], each[:, 1], color=style.color, **look)
     scores = finals(runs, metric)
     seconds = [_mark(panel, scores, style)[0]] if len(scores) else []
-    drawn = [*loose, *([] if common is None else [common.seconds[:, None]])]
-    return seconds + [time for each in drawn for time in each[:, 0].tolist()]
+    seconds += [] if common is None else common[0].tolist()
+    return seconds + [time for each in loose for time in each[:, 0].tolist()]
 
 
 def _mark(panel: Axes, scores: Points, style: Style) -> tuple[float, float]:

@@ -1,4 +1,4 @@
-"""What a run is called: its regularizers, then whatever else sets it apart from the runs beside it."""
+"""What a run is called: its regularizers, then whatever else sets it apart from others."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
-from nerfreg.reports.records import VANILLA, RunRecord, by_setting, grouped
+from nerfreg.reports.records import VANILLA, NamedRun, by_setting, grouped
 
 SCENE_KEYS = (
     "format", "split", "train", "test", "held_out", "background", "factor", "size", "height",
@@ -30,10 +30,10 @@ def method_of(overrides: Sequence[str], settings: Mapping[str, Any]) -> str:
     return str(settings.get("name") or ", ".join(_parts(overrides, settings)))
 
 
-def scenes_distinguished(runs: Sequence[RunRecord]) -> list[RunRecord]:
+def scenes_distinguished(runs: Sequence[NamedRun]) -> list[NamedRun]:
     """Tell apart scenes of one name whose runs should not share a table: `chair (factor=8)`."""
 
-    def named(group: list[RunRecord]) -> list[RunRecord]:
+    def named(group: list[NamedRun]) -> list[NamedRun]:
         known = [
             {key: _text(run.settings.get(f"scene.{key}")) for key in SCENE_KEYS} for run in group
         ]
@@ -42,14 +42,14 @@ def scenes_distinguished(runs: Sequence[RunRecord]) -> list[RunRecord]:
             return group
         endings = [", ".join(f"{key}={own[key]}" for key in keys) for own in known]
         return [
-            replace(run, setting=replace(run.setting, scene=f"{run.setting.scene} ({ending})"))
+            replace(run, scene=f"{run.scene} ({ending})")
             for run, ending in zip(group, endings, strict=True)
         ]
 
     return _each_group(runs, lambda run: run.setting, named)
 
 
-def distinguished(runs: Sequence[RunRecord]) -> list[RunRecord]:
+def distinguished(runs: Sequence[NamedRun]) -> list[NamedRun]:
     """Name methods by what sets them apart, so that no two configurations share a name.
 
     A name that a user gave to several methods is the name of a study, and none of a method. Where
@@ -65,7 +65,7 @@ def distinguished(runs: Sequence[RunRecord]) -> list[RunRecord]:
     return _each_group(runs, lambda run: run.method, _variants_apart)
 
 
-def identity(run: RunRecord) -> dict[str, str]:
+def identity(run: NamedRun) -> dict[str, str]:
     """Return all that makes a run what it is beside scene, seed and budget.
 
     That is settings, threads and package versions. A value that is not known is left out: one that
@@ -82,10 +82,10 @@ def identity(run: RunRecord) -> dict[str, str]:
 
 
 def _each_group(
-    runs: Sequence[RunRecord],
-    key: Callable[[RunRecord], object],
-    change: Callable[[list[RunRecord]], list[RunRecord]],
-) -> list[RunRecord]:
+    runs: Sequence[NamedRun],
+    key: Callable[[NamedRun], object],
+    change: Callable[[list[NamedRun]], list[NamedRun]],
+) -> list[NamedRun]:
     """Change the runs of each group, and return all in the order in which they came."""
     groups = grouped(runs, key).values()
     changed = {run.folder: run for group in groups for run in change(group)}
@@ -112,28 +112,28 @@ def _parts(overrides: Sequence[str], settings: Mapping[str, Any]) -> list[str]:
     return [chosen, *(f"{key}={value}" if value else key for key, value in sorted(others.items()))]
 
 
-def _without_studies(group: list[RunRecord]) -> list[RunRecord]:
+def _without_studies(group: list[NamedRun]) -> list[NamedRun]:
     methods = [", ".join(_parts(run.command, run.settings)) for run in group]
     if len(set(methods)) == 1:
         return group
     return [replace(run, method=method) for run, method in zip(group, methods, strict=True)]
 
 
-def _without_shared(group: list[RunRecord]) -> list[RunRecord]:
+def _without_shared(group: list[NamedRun]) -> list[NamedRun]:
     parts = {run.folder: _parts(run.command, run.settings) for run in group}
     # A name that a user gave stays as it is.
     unnamed = {run.folder for run in group if run.method == ", ".join(parts[run.folder])}
     overrides = [set(parts[folder][1:]) for folder in unnamed]
     common = set[str].intersection(*overrides) if overrides else set[str]()
 
-    def method(run: RunRecord) -> str:
+    def method(run: NamedRun) -> str:
         kept = [part for part in parts[run.folder][1:] if part not in common]
         return ", ".join([parts[run.folder][0], *kept]) if run.folder in unnamed else run.method
 
     return [replace(run, method=method(run), shared=tuple(sorted(common))) for run in group]
 
 
-def _budget(run: RunRecord) -> str:
+def _budget(run: NamedRun) -> str:
     """Return `600 s`, `1500 steps`, or whichever is spent first: `1500 steps or 600 s`."""
     given = [
         f"{_text(run.settings[key])} {unit}"
@@ -143,7 +143,7 @@ def _budget(run: RunRecord) -> str:
     return " or ".join(given) or "unknown budget"
 
 
-def _variants_apart(group: list[RunRecord]) -> list[RunRecord]:
+def _variants_apart(group: list[NamedRun]) -> list[NamedRun]:
     identities = {run.folder: identity(run) for run in group}
     keys: dict[str, None] = {}
     # Weights may depend on the scene: only what differs on one scene makes a variant.

@@ -17,9 +17,8 @@ from matplotlib.colors import to_hex
 from nerfreg import __version__
 from nerfreg.analysis.figures import FAINT, GRID, GUIDE, INK, PALETTE
 from nerfreg.files import write_text
-from nerfreg.reports.figures import DrawnFigure
 from nerfreg.reports.pictures import ComparedView, Image
-from nerfreg.reports.records import RunRecord, by_setting
+from nerfreg.reports.records import NamedRun, by_setting
 from nerfreg.reports.sheet import DEPTH_MAP, ERROR_MAP
 from nerfreg.reports.tables import Table
 from nerfreg.reports.templates import FOLDER, template
@@ -28,16 +27,16 @@ NAME = "report.html"
 PICTURE_BUDGET = 12_000_000
 """Characters that all pictures together may take, so that the page stays below 15 MB."""
 ENCODINGS = (("png", None, 1), ("jpeg", 92, 1), ("jpeg", 80, 1), ("jpeg", 80, 2), ("jpeg", 70, 4))
-"""File type, quality, and by what to divide the size of a picture; from the best to the smallest."""
+"""File type, quality, by what to divide the size of a picture, from the best to the smallest."""
 COLORS = {INK: "ink", GUIDE: "guide", FAINT: "faint", GRID: "grid", "#ffffff": "page"}
 COLORS |= {color: f"series-{index}" for index, color in enumerate(PALETTE)}
 """Colours of the figures, and the names of those that a page has in their place."""
 
 
 def write_page(
-    runs: Sequence[RunRecord],
+    runs: Sequence[NamedRun],
     tables: Sequence[Table],
-    figures: Sequence[DrawnFigure],
+    figures: Sequence[Path],
     compared: Sequence[ComparedView],
     notes: Sequence[str],
     folder: Path,
@@ -47,7 +46,7 @@ def write_page(
     Args:
         runs: All of them.
         tables: Those of scores and costs.
-        figures: What has been drawn.
+        figures: Their files.
         compared: The test views to show.
         notes: On what is not shown of test views.
         folder: Where the report goes.
@@ -66,7 +65,7 @@ def write_page(
         parts={path.name: Markup(path.read_text(encoding="utf-8")) for path in parts},
         version=__version__,
         tables=tables,
-        figures=[(figure, _svg(figure.paths[-1])) for figure in figures],
+        figures={path.stem: _svg(path) for path in figures if path.suffix == ".svg"},
         views=compared,
         images=dict(zip(images, encoded, strict=True)),
         notes=notes,
@@ -118,7 +117,8 @@ def smaller(image: Image, factor: int) -> Image:
     if factor == 1 or not height or not width:
         return image
     squares = image[: height * factor, : width * factor].reshape(height, factor, width, factor, 3)
-    return squares.mean((1, 3)).round().astype(np.uint8)
+    means: Image = squares.mean((1, 3)).round().astype(np.uint8)
+    return means
 
 
 def _svg(path: Path) -> Markup:

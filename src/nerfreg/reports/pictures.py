@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import Float, UInt8
 
 from nerfreg.errors import NerfregError
-from nerfreg.reports.records import RunRecord, Setting, by_method, by_setting
+from nerfreg.reports.records import NamedRun, Setting, by_method, by_setting
 from nerfreg.runs.files import RENDERS, RESULTS
 
 SCALES = (0.1, 0.2, 0.3, 0.5, 1.0)
@@ -41,7 +41,8 @@ class Rendered:
     @property
     def error(self) -> Float[np.ndarray, "height width"]:
         """Mean over the three channels of the absolute difference."""
-        return np.abs(self._difference()).mean(-1) / 255
+        error: np.ndarray = np.abs(self._difference()).mean(-1) / 255
+        return error
 
     @property
     def psnr(self) -> float:
@@ -70,12 +71,7 @@ class Crop:
 class ComparedView:
     """All methods on one view.
 
-    Attributes:
-        setting: Of the runs.
-        view: Its name.
-        methods: At least one.
-        crop: Where they differ most.
-        scale: The error that is shown as the brightest.
+    `crop` is where they differ most, and `scale` the error that is shown as the brightest.
     """
 
     setting: Setting
@@ -101,7 +97,7 @@ class ComparedView:
 
 
 def compare(
-    runs: Sequence[RunRecord], views: Sequence[str] = ()
+    runs: Sequence[NamedRun], views: Sequence[str] = ()
 ) -> tuple[list[ComparedView], list[str]]:
     """Compare the methods of every setting on some views.
 
@@ -120,18 +116,20 @@ def compare(
     compared: list[ComparedView] = []
     notes: list[str] = []
     known: set[str] = set()
-    for setting, of_setting in by_setting(runs).items():
-        methods = by_method(run for run in of_setting if views_of(run.folder))
-        missing = [method for method in by_method(of_setting) if method not in methods]
+    for setting, own in by_setting(runs).items():
+        firsts: dict[str, NamedRun] = {}
+        for run in sorted(own, key=lambda run: run.seed):
+            if views_of(run.folder):
+                firsts.setdefault(run.method, run)
+        missing = [method for method in by_method(own) if method not in firsts]
         if missing:
             notes.append(f"{setting.title}: no pictures of {', '.join(missing)}")
-        firsts = [min(own, key=lambda run: run.seed) for own in methods.values()]
-        scores = {run.method: view_scores(run.folder) for run in firsts}
-        known |= {view for run in firsts for view in views_of(run.folder)}
+        ordered = [firsts[method] for method in by_method(own) if method in firsts]
+        scores = [view_scores(run.folder) for run in ordered]
+        known.update(view for run in ordered for view in views_of(run.folder))
         for view in views or telling_views(scores):
-            have = [run for run in firsts if view in views_of(run.folder)]
-            if have:
-                compared.append(_compared(setting, view, have, notes))
+            have = [run for run in ordered if view in views_of(run.folder)]
+            compared += [_compared(setting, view, have, notes)] if have else []
     unknown = [view for view in views if view not in known]
     if unknown:
         has = f"views with pictures: {', '.join(sorted(known))}" if known else "no run has pictures"
@@ -155,16 +153,16 @@ def view_scores(folder: Path) -> dict[str, float]:
     return {view: value for view, value in psnr.items() if value is not None}
 
 
-def telling_views(scores: Mapping[str, Mapping[str, float]]) -> list[str]:
+def telling_views(scores: Sequence[Mapping[str, float]]) -> list[str]:
     """Return the views that tell most, of those that all methods have.
 
     They are the one of median PSNR (over the means of methods), and the one where the best and the
     worst method are furthest apart: one or two views, none if they have none in common.
     """
-    common = sorted(set[str].intersection(*(set(own) for own in scores.values()))) if scores else []
+    common = sorted(set[str].intersection(*map(set, scores))) if scores else []
     if not common:
         return []
-    values = {view: [own[view] for own in scores.values()] for view in common}
+    values = {view: [own[view] for own in scores] for view in common}
     ranked = sorted(common, key=lambda view: sum(values[view]))
     median = ranked[(len(ranked) - 1) // 2]
     apart = max(common, key=lambda view: max(values[view]) - min(values[view]))
@@ -209,7 +207,7 @@ def shared_scale(errors: Float[np.ndarray, "methods height width"]) -> float:
 
 
 def _compared(
-    setting: Setting, view: str, runs: Sequence[RunRecord], notes: list[str]
+    setting: Setting, view: str, runs: Sequence[NamedRun], notes: list[str]
 ) -> ComparedView:
     """Compare runs; a photograph of another size than the first run's is left out with a note."""
     methods: list[Rendered] = []

@@ -6,16 +6,17 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from nerfreg.files import write_csv, write_text
-from nerfreg.reports.records import METRICS, RunRecord, Setting
+from nerfreg.reports.records import NamedRun, Setting
 from nerfreg.reports.tables import Table, TableCell
 from nerfreg.reports.templates import template
 from nerfreg.reports.timing import seconds_to_psnr
+from nerfreg.runs.records import METRICS
 
 LEGEND = "Bold: best. Italic: second best. ±: standard deviation."
 AVERAGED = (*METRICS, "train_seconds", "million_points_per_second", "seconds_to_psnr")
 
 
-def write_tables(runs: Sequence[RunRecord], tables: Sequence[Table], folder: Path) -> list[Path]:
+def write_tables(runs: Sequence[NamedRun], tables: Sequence[Table], folder: Path) -> list[Path]:
     """Write tables.md with all tables, tables/NAME.tex with one each, methods.csv and runs.csv.
 
     Returns:
@@ -70,7 +71,7 @@ def _method_lines(tables: Sequence[Table]) -> Iterator[dict[str, object]]:
             }
 
 
-def _run_lines(runs: Sequence[RunRecord], tables: Sequence[Table]) -> Iterator[dict[str, object]]:
+def _run_lines(runs: Sequence[NamedRun], tables: Sequence[Table]) -> Iterator[dict[str, object]]:
     """Yield one line for each run, failed and incomplete ones included."""
     targets = {table.setting: table.target for table in tables if table.setting}
     for run in runs:

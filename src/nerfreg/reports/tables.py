@@ -72,14 +72,7 @@ class TableCell:
 
 @dataclass(frozen=True)
 class Row:
-    """A method, or what was published of one.
-
-    Attributes:
-        label: The method.
-        cells: One for each column.
-        count: Seeds or runs that the row was made of.
-        paper: Whether its numbers are those of a publication and not of runs.
-    """
+    """A method with a cell for each column, made of `count` runs, or published in a paper."""
 
     label: str
     cells: tuple[TableCell, ...]
@@ -137,6 +130,8 @@ def mean_over_scenes(scenes: Sequence[TableCell]) -> TableCell:
     The spread is that of a mean over one run of each scene, sqrt(sum of variances) / number of
     scenes, where all have one.
     """
+    if len(scenes) == 1:
+        return scenes[0]
     means = [cell.value for cell in scenes if cell.value is not None]
     if not means or len(means) < len(scenes):
         some = f"reached on {len(means)} of {len(scenes)} scenes" if means else NOT_REACHED

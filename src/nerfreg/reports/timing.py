@@ -8,15 +8,9 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 from nerfreg.reports.methods import identity
-from nerfreg.reports.records import (
-    VANILLA,
-    EvaluationRecord,
-    RunRecord,
-    by_setting,
-    counted,
-    grouped,
-)
+from nerfreg.reports.records import VANILLA, NamedRun, by_setting, counted, grouped
 from nerfreg.reports.tables import Column, Row, Table, TableCell, marked
+from nerfreg.runs.records import EvaluationRecord
 
 COLUMNS = (
     Column("step", "ms", ".1f", "down", "milliseconds_per_step"),
@@ -53,7 +47,7 @@ def seconds_to_psnr(evaluations: Sequence[EvaluationRecord], psnr: float) -> Cro
     return None
 
 
-def cost_tables(runs: Sequence[RunRecord]) -> list[Table]:
+def cost_tables(runs: Sequence[NamedRun]) -> list[Table]:
     """Return what a step of each method takes, for each setting that has more than one method.
 
     A method is compared with vanilla runs that agree with it in all but regularizers, seed and the
@@ -71,7 +65,7 @@ def cost_tables(runs: Sequence[RunRecord]) -> list[Table]:
     return tables
 
 
-def _cost_rows(runs: Sequence[RunRecord]) -> list[Row]:
+def _cost_rows(runs: Sequence[NamedRun]) -> list[Row]:
     vanilla = grouped((run for run in runs if identity(run)["reg"] == VANILLA), _conditions)
     several = len({run.threads for run in runs}) > 1
     rows = []
@@ -89,16 +83,16 @@ def _cost_rows(runs: Sequence[RunRecord]) -> list[Row]:
     return sorted(rows, key=lambda row: row.cells[0].value or 0.0)
 
 
-def _milliseconds(runs: Sequence[RunRecord]) -> float:
+def _milliseconds(runs: Sequence[NamedRun]) -> float:
     lasts = [run.last for run in runs if run.last]
-    return 1e3 * statistics.median(last.train_seconds / last.step for last in lasts)
+    return float(statistics.median(1e3 * last.train_seconds / last.step for last in lasts))
 
 
-def _threads(run: RunRecord) -> str:
+def _threads(run: NamedRun) -> str:
     return "threads unknown" if run.threads is None else counted(run.threads, "thread")
 
 
-def _conditions(run: RunRecord) -> tuple[tuple[str, str], ...]:
+def _conditions(run: NamedRun) -> tuple[tuple[str, str], ...]:
     """Return all that may change the time of a step, regularizers aside."""
     known = {key: value for key, value in identity(run).items() if key.split(".")[0] != "reg"}
     known["threads"] = str(run.threads)

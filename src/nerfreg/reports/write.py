@@ -52,7 +52,7 @@ def write_report(
     pictures, notes = compare(records, views)
     paths = write_tables(records, tables, folder)
     figures = draw_figures(records, published, folder)
-    paths += [path for figure in figures for path in figure.paths]
+    paths += figures
     for picture in pictures:
         draw_sheet(picture, folder / "pictures")
     paths.append(write_page(records, tables, figures, pictures, notes, folder))
