@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from nerfreg.analysis.figures import Style, styles
-from nerfreg.reports.curves import band, curve, draw_curves, draw_pareto, finals
+from nerfreg.reports.figures import band, curve, draw_curves, draw_pareto, finals
 from nerfreg.reports.paper import PaperRow, with_average
 from nerfreg.reports.records import NamedRun, by_method
 from nerfreg.runs.records import EvaluationRecord

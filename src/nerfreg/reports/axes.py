@@ -103,13 +103,8 @@ def _time_axis(panel: Axes, seconds: Sequence[float]) -> None:
 def _handle(runs: Sequence[NamedRun], style: Style) -> Line2D:
     seeds = len(complete(runs))
     count = f" ({seeds} seeds)" if seeds > 1 else "" if seeds else " (not complete)"
-    return Line2D(
-        [],
-        [],
-        color=style.color,
-        linestyle=style.dash if seeds else ":",
-        marker=style.marker if seeds else ".",
-        markeredgecolor="white",
-        markeredgewidth=0.6,
-        label=f"{shortened(style.label, LEGEND_LENGTH)}{count}",
-    )
+    handle = Line2D([], [], color=style.color, markeredgecolor="white", markeredgewidth=0.6)
+    dash, marker = (style.dash, style.marker) if seeds else (":", ".")
+    label = f"{shortened(style.label, LEGEND_LENGTH)}{count}"
+    handle.set(linestyle=dash, marker=marker, label=label)
+    return handle

@@ -10,7 +10,7 @@ from nerfreg.errors import NerfregError
 from nerfreg.reports.methods import distinguished, method_of, scenes_distinguished
 from nerfreg.reports.records import NamedRun
 from nerfreg.runs.files import METRICS, RESULTS
-from nerfreg.runs.records import CONFIG, find_runs, read_run_folder
+from nerfreg.runs.read import CONFIG, find_runs, read_run_folder
 
 
 def collect(places: Sequence[Path]) -> list[NamedRun]:
@@ -34,8 +34,7 @@ def collect(places: Sequence[Path]) -> list[NamedRun]:
         raise NerfregError(f"{searched}: no run found ({needed})")
     found = map(read_run_folder, folders.values())
     runs = [NamedRun(**vars(run), method=method_of(run.command, run.settings)) for run in found]
-    runs = _views_counted(runs)
-    return distinguished(scenes_distinguished(runs))
+    return distinguished(scenes_distinguished(_views_counted(runs)))
 
 
 def _views_counted(runs: Sequence[NamedRun]) -> list[NamedRun]:

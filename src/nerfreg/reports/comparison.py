@@ -15,17 +15,8 @@ from nerfreg.reports.records import (
     counted,
     slug,
 )
-from nerfreg.reports.tables import (
-    NOT_REACHED,
-    Column,
-    Row,
-    Table,
-    TableCell,
-    marked,
-    mean_of,
-    mean_over_scenes,
-)
-from nerfreg.reports.timing import seconds_to_psnr
+from nerfreg.reports.tables import Column, Row, Table, TableCell, marked, mean_of, mean_over_scenes
+from nerfreg.reports.timing import mean_seconds_to_psnr
 
 SCORES = (
     Column("PSNR", "dB", ".2f", "up", "psnr"),
@@ -98,7 +89,7 @@ def _of_scene(scene: _Scene) -> Table:
         if 0 < cell.count < row.count
     ]
     notes += [*scene.notes, *_notes_on_columns(columns, [scene], scene.paper)]
-    rows = [*rows, *_paper_rows(scene.paper, columns)]
+    rows += [_paper_row(row, columns) for row in scene.paper]
     title, name = scene.setting.title, scene.setting.name
     table = Table(title, name, columns, marked(columns, rows), notes=tuple(notes))
     return replace(table, setting=scene.setting, target=scene.target)
@@ -132,7 +123,7 @@ def _over_scenes(family: str, scenes: Sequence[_Scene], paper: Sequence[PaperRow
         "± is the standard deviation of a mean over one run of each scene."
     )
     notes += _notes_on_columns(columns, scenes, means)
-    rows = [*rows, *_paper_rows(means, columns)]
+    rows += [_paper_row(row, columns) for row in means]
     title, name = f"Mean over {family}", slug(f"mean {family}")
     return Table(title, name, columns, marked(columns, rows), "runs", tuple(notes))
 
@@ -161,9 +152,7 @@ def _families(scenes: Sequence[_Scene]) -> list[tuple[str, list[_Scene]]]:
 def _columns(scenes: Sequence[_Scene], timed: str | None) -> tuple[Column, ...]:
     """Return the columns: depth errors only where the depth of every scene is known.
 
-    Args:
-        scenes: What is compared.
-        timed: The heading of seconds to a PSNR; None: they are not wanted.
+    `timed` is the heading of seconds to a PSNR, if they are wanted.
     """
     finals = [[run.final for run in scene.runs if run.final] for scene in scenes]
     longest = max((final.train_seconds for own in finals for final in own), default=0.0)
@@ -176,16 +165,13 @@ def _columns(scenes: Sequence[_Scene], timed: str | None) -> tuple[Column, ...]:
 def _row(
     method: str, known: Sequence[tuple[_Scene, list[NamedRun]]], columns: Sequence[Column]
 ) -> Row:
-    cells = [
-        mean_over_scenes([_cell(column, runs, scene.target) for scene, runs in known])
-        for column in columns
-    ]
-    return Row(method, tuple(cells), sum(len(runs) for _, runs in known))
+    cells = ([_cell(column, runs, scene.target) for scene, runs in known] for column in columns)
+    return Row(method, tuple(map(mean_over_scenes, cells)), sum(len(runs) for _, runs in known))
 
 
 def _cell(column: Column, runs: Sequence[NamedRun], target: float | None) -> TableCell:
     if column.key == REACHED.key:
-        return _reached(runs, target or 0.0)
+        return mean_seconds_to_psnr(runs, target or 0.0)
     return mean_of(_value(column, run) for run in runs)
 
 
@@ -195,29 +181,9 @@ def _value(column: Column, run: NamedRun) -> float | None:
     return getattr(run.final, column.key, None)
 
 
-def _reached(runs: Sequence[NamedRun], psnr: float) -> TableCell:
-    """Return the mean time to a PSNR.
-
-    There is none where some run never gets there, for the mean of the others says too little.
-    """
-    found = [seconds_to_psnr(run.evaluations, psnr) for run in runs]
-    times = [crossing for crossing in found if crossing is not None]
-    if len(times) < len(found):
-        some = f"reached by {len(times)} of {len(found)}"
-        return TableCell(text=some if times else NOT_REACHED)
-    mean = mean_of(crossing.seconds for crossing in times)
-    return replace(mean, at_most=any(crossing.at_most for crossing in times))
-
-
-def _paper_rows(rows: Iterable[PaperRow], columns: Sequence[Column]) -> list[Row]:
-    return [
-        Row(
-            f"{row.method} (paper)",
-            tuple(TableCell(getattr(row, column.key, None)) for column in columns),
-            paper=True,
-        )
-        for row in rows
-    ]
+def _paper_row(row: PaperRow, columns: Sequence[Column]) -> Row:
+    cells = tuple(TableCell(getattr(row, column.key, None)) for column in columns)
+    return Row(f"{row.method} (paper)", cells, paper=True)
 
 
 def _left_out(run: NamedRun) -> str:

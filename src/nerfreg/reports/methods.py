@@ -34,17 +34,16 @@ def scenes_distinguished(runs: Sequence[NamedRun]) -> list[NamedRun]:
     """Tell apart scenes of one name whose runs should not share a table: `chair (factor=8)`."""
 
     def named(group: list[NamedRun]) -> list[NamedRun]:
-        known = [
-            {key: _text(run.settings.get(f"scene.{key}")) for key in SCENE_KEYS} for run in group
-        ]
+        texts = (
+            map(_text, (run.settings.get(f"scene.{key}") for key in SCENE_KEYS)) for run in group
+        )
+        known = [dict(zip(SCENE_KEYS, own, strict=True)) for own in texts]
         keys = _differing(known, SCENE_KEYS)
-        if not keys:
-            return group
         endings = [", ".join(f"{key}={own[key]}" for key in keys) for own in known]
-        return [
-            replace(run, scene=f"{run.scene} ({ending})")
-            for run, ending in zip(group, endings, strict=True)
+        scenes = [
+            f"{group[0].scene} ({ending})" if ending else group[0].scene for ending in endings
         ]
+        return [replace(run, scene=scene) for run, scene in zip(group, scenes, strict=True)]
 
     return _each_group(runs, lambda run: run.setting, named)
 
@@ -135,12 +134,9 @@ def _without_shared(group: list[NamedRun]) -> list[NamedRun]:
 
 def _budget(run: NamedRun) -> str:
     """Return `600 s`, `1500 steps`, or whichever is spent first: `1500 steps or 600 s`."""
-    given = [
-        f"{_text(run.settings[key])} {unit}"
-        for key, unit in BUDGET.items()
-        if run.settings.get(key) is not None
-    ]
-    return " or ".join(given) or "unknown budget"
+    given = [(run.settings.get(key), unit) for key, unit in BUDGET.items()]
+    parts = [f"{_text(size)} {unit}" for size, unit in given if size is not None]
+    return " or ".join(parts) or "unknown budget"
 
 
 def _variants_apart(group: list[NamedRun]) -> list[NamedRun]:

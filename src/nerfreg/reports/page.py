@@ -21,7 +21,7 @@ from nerfreg.reports.pictures import ComparedView, Image
 from nerfreg.reports.records import NamedRun, by_setting
 from nerfreg.reports.sheet import DEPTH_MAP, ERROR_MAP
 from nerfreg.reports.tables import Table
-from nerfreg.reports.templates import FOLDER, template
+from nerfreg.reports.templates import template
 
 NAME = "report.html"
 PICTURE_BUDGET = 12_000_000
@@ -41,31 +41,25 @@ def write_page(
     notes: Sequence[str],
     folder: Path,
 ) -> Path:
-    """Write FOLDER/report.html.
+    """Write FOLDER/report.html, and return its path.
 
     Args:
         runs: All of them.
         tables: Those of scores and costs.
-        figures: Their files.
+        figures: Files of figures; the SVG are shown.
         compared: The test views to show.
         notes: On what is not shown of test views.
         folder: Where the report goes.
 
-    Returns:
-        The path of the page.
-
     Raises:
-        NerfregError: It cannot be written.
+        NerfregError: The page cannot be written.
     """
     images = {key: image for view in compared for key, image in _images(view).items()}
     encoded = data_uris(list(images.values()), PICTURE_BUDGET)
-    # Styles and scripts are ours, and need no escapes.
-    parts = [path for path in FOLDER.iterdir() if path.suffix in (".css", ".js")]
     text = template("report.html.j2").render(
-        parts={path.name: Markup(path.read_text(encoding="utf-8")) for path in parts},
         version=__version__,
         tables=tables,
-        figures={path.stem: _svg(path) for path in figures if path.suffix == ".svg"},
+        figures={path.stem: _figure(path) for path in figures if path.suffix == ".svg"},
         views=compared,
         images=dict(zip(images, encoded, strict=True)),
         notes=notes,
@@ -117,11 +111,10 @@ def smaller(image: Image, factor: int) -> Image:
     if factor == 1 or not height or not width:
         return image
     squares = image[: height * factor, : width * factor].reshape(height, factor, width, factor, 3)
-    means: Image = squares.mean((1, 3)).round().astype(np.uint8)
-    return means
+    return np.asarray(squares.mean((1, 3)).round(), np.uint8)
 
 
-def _svg(path: Path) -> Markup:
+def _figure(path: Path) -> Markup:
     return Markup(themed_svg(path.read_text(encoding="utf-8"), path.stem))
 
 

@@ -80,17 +80,11 @@ def read_paper(path: Path) -> list[PaperRow]:
 def published(
     paper: Sequence[PaperRow], setting: Setting, settings: Mapping[str, Any]
 ) -> tuple[list[PaperRow], list[str]]:
-    """Return what was published in a setting; nothing for held-out training views.
+    """Return what was published in a setting, and notes on what may not stand beside its runs.
 
-    Args:
-        paper: All that was published.
-        setting: Scene and number of views. What sets apart runs of one scene in its name counts
-            for nothing: `chair (factor=8)` is chair.
-        settings: The configuration of the runs.
-
-    Returns:
-        The rows, and a note for each reason why some may not stand beside these runs.
+    Nothing was published on held-out training views. `settings` is the configuration of the runs.
     """
+    # Without what sets apart runs of one scene: `chair (factor=8)` is chair.
     scene = setting.scene.partition(" (")[0].lower()
     kept, notes = [], dict[str, None]()
     for row in () if setting.held_out else paper:
@@ -115,11 +109,7 @@ def rows_over_scenes(
     """Return means over some scenes of the methods that were published on all of them.
 
     Where these are all scenes of a data set, its published means, which know more methods, come
-    instead.
-
-    Args:
-        paper: All that was published.
-        scenes: The rows of each scene.
+    instead. `scenes` has the rows of each scene.
     """
     datasets = {(row.dataset, row.views) for rows in scenes for row in rows}
     if not all(scenes) or not datasets:

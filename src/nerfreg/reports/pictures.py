@@ -41,8 +41,7 @@ class Rendered:
     @property
     def error(self) -> Float[np.ndarray, "height width"]:
         """Mean over the three channels of the absolute difference."""
-        error: np.ndarray = np.abs(self._difference()).mean(-1) / 255
-        return error
+        return np.asarray(np.abs(self._difference()).mean(-1) / 255)
 
     @property
     def psnr(self) -> float:
@@ -99,13 +98,9 @@ class ComparedView:
 def compare(
     runs: Sequence[NamedRun], views: Sequence[str] = ()
 ) -> tuple[list[ComparedView], list[str]]:
-    """Compare the methods of every setting on some views.
+    """Compare the methods of every setting on some views, or if none is named, on telling ones.
 
     Of several seeds the smallest with pictures is shown.
-
-    Args:
-        runs: Of all settings.
-        views: Names of the views to show; none: those that tell most.
 
     Returns:
         The views, and notes on what is not shown, and why.
@@ -117,18 +112,14 @@ def compare(
     notes: list[str] = []
     known: set[str] = set()
     for setting, own in by_setting(runs).items():
-        firsts: dict[str, NamedRun] = {}
-        for run in sorted(own, key=lambda run: run.seed):
-            if views_of(run.folder):
-                firsts.setdefault(run.method, run)
-        missing = [method for method in by_method(own) if method not in firsts]
+        methods = by_method(run for run in own if views_of(run.folder))
+        missing = [method for method in by_method(own) if method not in methods]
         if missing:
             notes.append(f"{setting.title}: no pictures of {', '.join(missing)}")
-        ordered = [firsts[method] for method in by_method(own) if method in firsts]
-        scores = [view_scores(run.folder) for run in ordered]
-        known.update(view for run in ordered for view in views_of(run.folder))
-        for view in views or telling_views(scores):
-            have = [run for run in ordered if view in views_of(run.folder)]
+        firsts = [min(group, key=lambda run: run.seed) for group in methods.values()]
+        known.update(view for run in firsts for view in views_of(run.folder))
+        for view in views or telling_views([view_scores(run.folder) for run in firsts]):
+            have = [run for run in firsts if view in views_of(run.folder)]
             compared += [_compared(setting, view, have, notes)] if have else []
     unknown = [view for view in views if view not in known]
     if unknown:

@@ -23,9 +23,7 @@ def draw_sheet(compared: ComparedView, folder: Path) -> list[Path]:
     """Draw a row for each method: photograph, colour, error, depth, and details of the first two.
 
     The detail is where the methods differ most, and is framed in the photograph and in the colours.
-
-    Returns:
-        A PNG, named by scene and view.
+    The file is a PNG, named by scene and view.
 
     Raises:
         NerfregError: The file cannot be written.

@@ -19,9 +19,6 @@ AVERAGED = (*METRICS, "train_seconds", "million_points_per_second", "seconds_to_
 def write_tables(runs: Sequence[NamedRun], tables: Sequence[Table], folder: Path) -> list[Path]:
     """Write tables.md with all tables, tables/NAME.tex with one each, methods.csv and runs.csv.
 
-    Returns:
-        The paths of the files.
-
     Raises:
         NerfregError: A file cannot be written.
     """

@@ -10,7 +10,6 @@ from typing import Any, Literal
 
 from nerfreg.reports.records import Setting
 
-NOT_AVAILABLE = "n/a"
 NOT_REACHED = "not reached"
 ARROWS = {"up": " ↑", "down": " ↓"}
 
@@ -65,7 +64,7 @@ class TableCell:
     def shown(self, column: Column) -> str:
         """Return what a reader sees: `22.21 ± 0.10`, `≤ 12`, `n/a`, `not reached`."""
         if self.value is None:
-            return self.text or NOT_AVAILABLE
+            return self.text or "n/a"
         mean = ("≤ " if self.at_most else "") + format(self.value, column.format)
         return mean if self.spread is None else f"{mean} ± {format(self.spread, column.format)}"
 

@@ -36,12 +36,9 @@ def template(name: str) -> Template:
         lstrip_blocks=True,
         keep_trailing_newline=True,
     )
-    environment.filters |= {
-        "latex": latex_text,
-        "markdown": markdown_text,
-        "shell": shlex.join,
-        "slug": slug,
-    }
+    environment.filters.update(
+        latex=latex_text, markdown=markdown_text, shell=shlex.join, slug=slug
+    )
     return environment.get_template(name)
 
 

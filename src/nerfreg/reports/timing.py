@@ -5,11 +5,12 @@ from __future__ import annotations
 import math
 import statistics
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 from nerfreg.reports.methods import identity
-from nerfreg.reports.records import VANILLA, NamedRun, by_setting, counted, grouped
-from nerfreg.reports.tables import Column, Row, Table, TableCell, marked
+from nerfreg.reports.records import VANILLA, NamedRun, by_method, by_setting, counted, grouped
+from nerfreg.reports.tables import NOT_REACHED, Column, Row, Table, TableCell, marked, mean_of
 from nerfreg.runs.records import EvaluationRecord
 
 COLUMNS = (
@@ -47,6 +48,20 @@ def seconds_to_psnr(evaluations: Sequence[EvaluationRecord], psnr: float) -> Cro
     return None
 
 
+def mean_seconds_to_psnr(runs: Sequence[NamedRun], psnr: float) -> TableCell:
+    """Return the mean time to a PSNR.
+
+    There is none where some run never gets there, for the mean of the others says too little.
+    """
+    found = [seconds_to_psnr(run.evaluations, psnr) for run in runs]
+    times = [crossing for crossing in found if crossing is not None]
+    if len(times) < len(found):
+        some = f"reached by {len(times)} of {len(found)}"
+        return TableCell(text=some if times else NOT_REACHED)
+    mean = mean_of(crossing.seconds for crossing in times)
+    return replace(mean, at_most=any(crossing.at_most for crossing in times))
+
+
 def cost_tables(runs: Sequence[NamedRun]) -> list[Table]:
     """Return what a step of each method takes, for each setting that has more than one method.
 
@@ -56,12 +71,12 @@ def cost_tables(runs: Sequence[NamedRun]) -> list[Table]:
     timed = [run for run in runs if run.failure is None and run.last and run.last.step > 0]
     tables = []
     for setting, own in by_setting(timed).items():
-        rows = _cost_rows(own)
-        threads = {run.threads for run in own}
-        if len({run.method for run in own}) > 1:
-            notes = (NOTE, f"Trained with {_threads(own[0])}.")[: 2 if len(threads) == 1 else 1]
+        if len(by_method(own)) > 1:
+            alike = len({run.threads for run in own}) == 1
+            notes = (NOTE, f"Trained with {_threads(own[0])}.") if alike else (NOTE,)
             title, name = f"Cost of a step: {setting.title}", f"cost-{setting.name}"
-            tables.append(Table(title, name, COLUMNS, marked(COLUMNS, rows), "runs", notes))
+            rows = marked(COLUMNS, _cost_rows(own))
+            tables.append(Table(title, name, COLUMNS, rows, "runs", notes))
     return tables
 
 

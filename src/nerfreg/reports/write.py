@@ -59,8 +59,7 @@ def write_report(
     over_scenes = [table for table in compared if table.setting is None]
     for table in over_scenes or compared:
         print_table(table)
-    for path in paths:
-        print(path)
+    print(*paths, sep="\n")
 
 
 def print_table(table: Table) -> None:
