@@ -120,31 +120,6 @@ def panels(
         yield figure, axes.tolist()
 
 
-def curve(panel: Axes, x: Sequence[float], y: Sequence[float], style: Style) -> None:
-    """Draw a line with a marker at every point, named for the legend."""
-    look = {"color": style.color, "linestyle": style.dash, "marker": style.marker}
-    panel.plot(x, y, **look, label=style.label, markeredgewidth=0)
-
-
-def slope(panel: Axes, place: tuple[float, float], factor: int, power: int, label: str) -> None:
-    """Draw a dashed line of y ~ x^power on log-log axes whose limits are set, its label at its end.
-
-    Args:
-        panel: Where to draw.
-        place: Where it begins: x as a share of the panel's width, y in units of the data.
-        factor: The ratio of x at its ends.
-        power: The exponent.
-        label: What it is called.
-    """
-    low, high = panel.get_xlim()
-    x, y = low * (high / low) ** place[0], place[1]
-    end = (x * factor, y * float(factor) ** power)
-    line: dict[str, Any] = {"linestyle": (0, (4, 3)), "linewidth": 1.1, "zorder": 1}
-    panel.plot((x, end[0]), (y, end[1]), color=GUIDE, **line)
-    beside: dict[str, Any] = {"xytext": (3, 0), "textcoords": "offset points"}
-    panel.annotate(label, end, **beside, color=GUIDE, fontsize=8.5, va="center")
-
-
 def save(
     figure: Figure, stem: Path, suffixes: Sequence[str] = (".png", ".svg"), dpi: float = DPI
 ) -> list[Path]:

@@ -7,9 +7,10 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from rich.console import Console
+from rich.table import Column
 from rich.text import Text
 
-from nerfreg.analysis.tables import new_table
+from nerfreg.analysis.tables import build_table
 from nerfreg.reports.collect import collect
 from nerfreg.reports.comparison import comparisons
 from nerfreg.reports.figures import draw_figures
@@ -64,11 +65,11 @@ def write_report(
 
 def print_table(table: Table) -> None:
     """Print a table and its notes: best bold, second best underlined."""
-    grid = new_table(table.title, "")
     width = min(max(len(row.label) for row in table.rows), NAME_WIDTH)
-    grid.add_column(table.headings[0], overflow="fold", min_width=width)
-    for heading in table.headings[1:]:
-        grid.add_column(heading.replace(" ", "\n", 1), justify="right")
+    names = Column(table.headings[0], overflow="fold", min_width=width)
+    headings = (heading.replace(" ", "\n", 1) for heading in table.headings[1:])
+    columns = [names, *(Column(heading, justify="right") for heading in headings)]
+    grid = build_table(table.title, "", columns, ())
     for row in table.rows:
         cells = [
             Text(cell.shown(column), "bold" if cell.best else "underline" if cell.second else "")

@@ -22,7 +22,7 @@ class EvaluationRecord:
         ssim: Of the same views.
         lpips: Of the same views.
         average: Geometric mean of the three as errors.
-        depth_rmse: In units of the scene.
+        depth_rmse: In world units.
         views: How many test views were scored.
         whole: Whether these were all test views at full size, as at the end of a run.
     """
