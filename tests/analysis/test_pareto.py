@@ -12,8 +12,8 @@ from nerfreg.analysis.pareto import front
 def test_points_that_another_beats_in_both_are_not_on_the_front() -> None:
     #  error
     #    4 | 0 . . .
-    #    3 | . 1 2 .      2 is slower than 1 and no better; 3 is beaten by 4, which is as fast and better
-    #    2 | . . . 3
+    #    3 | . 1 2 .      2 is slower than 1 and no better;
+    #    2 | . . . 3      3 is as fast as 4 and worse
     #    1 | . . . 4
     #        1 2 3 4 seconds
     assert front([(1.0, 4.0), (2.0, 3.0), (3.0, 3.0), (4.0, 2.0), (4.0, 1.0)]) == [0, 1, 4]

@@ -15,7 +15,7 @@ FERN = {"path": "data/fern", "views": 3, "format": "llff", "split": "llff", "hel
 
 @pytest.fixture
 def write_run(tmp_path: Path) -> Callable[..., Path]:
-    """Write a run of fern with 3 views: (seconds, PSNR) of its evaluations, the last of which is final.
+    """Write a run of fern with 3 views, given (seconds, PSNR) of evaluations; the last is final.
 
     complete=False leaves out `results.json`. Every other keyword is a key of `results.json`.
     """

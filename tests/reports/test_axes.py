@@ -23,7 +23,8 @@ def test_durations_as_they_are_said(seconds: float, text: str) -> None:
 
 
 def test_long_names_have_fewer_columns() -> None:
-    # 6.9 inches are 497 points; a name of 20 characters takes about 130 of them, one of 80 more than half
+    # 6.9 inches are 497 points; a name of 20 characters takes about 130 of them, and one of 80
+    # characters more than half
     assert legend_columns(["x" * 20] * 5) == 3
     assert legend_columns(["x" * 20, "x" * 80]) == 1
     assert legend_columns([]) == 3

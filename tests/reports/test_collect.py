@@ -17,9 +17,11 @@ from nerfreg.runs.records import EvaluationRecord
 
 def test_a_complete_run(write_run: Callable[..., Path]) -> None:
     folder = write_run(
-        "a", ["+reg=kl", "sampler=importance"], config={"reg": {"kl": {"weight": "${kl_by_layout:weight}"}}},
+        "a",
+        ["+reg=kl", "sampler=importance"],
+        config={"reg": {"kl": {"weight": "${kl_by_layout:weight}"}}},
         regularizers={"kl": {"weight": 1e-5}},
-    )  # fmt: skip
+    )
     (run,) = collect([folder])
     # as conftest.py writes it: 10 steps a second, the subset has 2 of the 3 views
     way = EvaluationRecord(100, 10.0, 15.0, None, None, None, None, views=2, whole=False)

@@ -25,14 +25,16 @@ from nerfreg.reports.methods import method_of
         (["+reg=combinerf", "sampler=importance"], {}, "combinerf, sampler=importance"),
         (["+reg=combinerf", "+experiment=paper_llff"], {}, "combinerf, experiment=paper_llff"),
         # an experiment may select regularizers itself
-        (["+experiment=mine"], {"reg.kl.weight": 1.0, "reg.distortion.weight": 1.0}, "distortion+kl, experiment=mine"),
+        (["+experiment=mine"], {"reg.kl.weight": 1.0, "reg.distortion.weight": 1.0},
+         "distortion+kl, experiment=mine"),
         # the value that was understood, and no prefix that every regularizer has
         (["+reg=kl", "reg.kl.weight=1e-4"], {"reg.kl.weight": 0.0001}, "kl, kl.weight=0.0001"),
         (["train.rays=2048", "field.levels=8"], {}, "vanilla, field.levels=8, train.rays=2048"),
         # neither scene, seed, threads, budget, scoring nor output
         (
-            ["scene=llff", "scene.path=x=y", "scene.views=3", "scene.factor=8", "scene.held_out=[0]", "seed=3",
-             "train.threads=1", "train.quiet=true", "train.check=true", "train.seconds=60", "train.steps=null",
+            ["scene=llff", "scene.path=x=y", "scene.views=3", "scene.factor=8",
+             "scene.held_out=[0]", "seed=3", "train.threads=1", "train.quiet=true", "train.check=true",
+             "train.seconds=60", "train.steps=null",
              "eval.count=3", "eval=fast", "hydra.run.dir=x", "hydra/launcher=joblib", "device=cpu"],
             {}, "vanilla",
         ),
@@ -154,7 +156,8 @@ def test_versions_and_threads_set_apart(write_run: Callable[..., Path], tmp_path
 def test_what_is_not_known_sets_nothing_apart(
     write_run: Callable[..., Path], tmp_path: Path
 ) -> None:
-    # a run that is being written knows neither versions nor resolved weights; an older one lacks a key
+    # a run that is being written knows neither versions nor resolved weights; an older one lacks
+    # a key
     write_run("a", ["+reg=kl"], config=kl(1e-5))
     write_run("b", ["+reg=kl"], seed=1, config=kl("${kl_by_layout:weight}"), complete=False)
     write_run("c", ["+reg=kl"], seed=2, config={"reg": {"kl": {"weight": 1e-5}}})

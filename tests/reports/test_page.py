@@ -1,4 +1,7 @@
-"""The page: what stands in it, and how it behaves in a browser that is driven by the fragment of its address alone."""
+"""The page: what stands in it, and how it behaves in a browser.
+
+The browser is driven by the fragment of the page's address alone.
+"""
 
 from __future__ import annotations
 
@@ -175,10 +178,8 @@ def test_the_best_the_second_and_the_papers_rows_are_marked(report: Path) -> Non
 
 def test_commands_are_quoted_for_a_shell_and_failures_have_their_reasons(report: Path) -> None:
     text = report.read_text()
-    assert (
-        "nerfreg train scene=llff &#39;scene.path=my data/fern&#39; &#39;+reg=[combinerf]&#39; seed=0"
-        in text
-    )
+    words = "scene=llff 'scene.path=my data/fern' '+reg=[combinerf]' seed=0"
+    assert f"nerfreg train {html.escape(words).replace('&#x27;', '&#39;')}" in text
     section = text[text.index('<section id="failed">') :]
     assert "kl, fern, 3 views, seed 0" in section and "is not finite" in section
 
@@ -228,9 +229,7 @@ Browse = Callable[..., str]
 def browse(report: Path, tmp_path: Path) -> Browse:
     """The document after its scripts have run with a fragment; fails on anything in the console."""
     if BROWSER is None:
-        pytest.skip(
-            "no chromium, google-chrome or chromium-browser on PATH: the page is not tried in a browser"
-        )
+        pytest.skip("no chromium, google-chrome or chromium-browser on PATH to try the page in")
 
     def browse(fragment: str = "", actions: str = "") -> str:
         """actions: a script that is run after those of the page."""
@@ -239,9 +238,10 @@ def browse(report: Path, tmp_path: Path) -> Browse:
             report.read_text().replace("</body>", f"<script>{actions}</script></body>")
         )
         command = [
-            BROWSER, "--headless", "--no-sandbox", "--disable-gpu", "--disable-dev-shm-usage", "--no-first-run",
-            "--disable-background-networking", "--enable-logging=stderr", "--v=0",
-            f"--user-data-dir={tmp_path}/profile", "--virtual-time-budget=2000", "--dump-dom", f"file://{tried}{fragment}",
+            BROWSER, "--headless", "--no-sandbox", "--disable-gpu", "--disable-dev-shm-usage",
+            "--no-first-run", "--disable-background-networking", "--enable-logging=stderr", "--v=0",
+            f"--user-data-dir={tmp_path}/profile", "--virtual-time-budget=2000", "--dump-dom",
+            f"file://{tried}{fragment}",
         ]  # fmt: skip
         environment = {key: value for key, value in os.environ.items() if key != "DISPLAY"}
         done = subprocess.run(command, capture_output=True, text=True, timeout=120, env=environment)

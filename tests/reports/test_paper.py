@@ -27,7 +27,8 @@ def paper(tmp_path: Path) -> list[PaperRow]:
     path.write_text(
         HEAD
         + "main,llff,3,mean,vanilla,17.71,0.544,0.303,\n"
-        + "ablation,llff,3,mean,vanilla,17.7,0.544,0.303,0.155\n"  # repeated: what is new in it is taken over
+        # repeated: what is new in it is taken over
+        + "ablation,llff,3,mean,vanilla,17.7,0.544,0.303,0.155\n"
         + "ablation,llff,3,mean,kl,18.5,,,\n"
         + "scenes,llff,3,fern,vanilla,16.0,0.5,0.4,0.1\n"
         + "scenes,llff,3,room,vanilla,20.0,0.7,0.2,0.2\n"

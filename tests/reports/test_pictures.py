@@ -38,7 +38,7 @@ def run(
     color: np.ndarray | None = None,
     seed: int = 0,
 ) -> NamedRun:
-    """A run whose pictures have the colour given (100), depth 30, photograph 110 and an error that is not used."""
+    """A run whose pictures have a colour (100), depth 30, photograph 110, and an unused error."""
     color = plain(100) if color is None else color
     depth, photograph, wrong = (plain(value, *color.shape[:2]) for value in (30, 110, 200))
     (folder / "renders").mkdir(parents=True)
@@ -180,7 +180,7 @@ def test_without_pictures_there_is_nothing_to_compare(tmp_path: Path) -> None:
 
 
 def test_a_sheet_shows_every_pixel_of_every_method_in_its_row(tmp_path: Path) -> None:
-    # Flat colours, so that the sheet can be read back: blue for the one method, green for the other.
+    # Flat colours, so that the sheet can be read back: blue for one method, green for the other.
     blue, green = plain(0, 60, 90), plain(0, 60, 90)
     blue[..., 2], green[..., 1] = 255, 255
     records = [

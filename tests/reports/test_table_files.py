@@ -86,9 +86,8 @@ def test_csv_of_methods_and_of_runs(write_run: Callable[..., Path], tmp_path: Pa
     tables = [*comparisons(records, paper, psnr=22.0), *cost_tables(records)]
     write_tables(records, tables, tmp_path / "out")
     runs, published = read(tmp_path / "out" / "methods.csv")
-    assert (runs["scene"], runs["views"], runs["scored"], runs["method"], runs["source"], runs["n"]) == (
-        "fern", "3", "test", "vanilla", "runs", "2",
-    )  # fmt: skip
+    about = [runs[key] for key in ("scene", "views", "scored", "method", "source", "n")]
+    assert about == ["fern", "3", "test", "vanilla", "runs", "2"]
     # 20 and 22: deviations of 1 from their mean, sqrt(2 / 1)
     assert (runs["psnr_mean"], runs["psnr_std"], runs["psnr_n"]) == ("21", "1.41421", "2")
     assert (runs["depth_rmse_mean"], runs["depth_rmse_n"]) == ("", "")

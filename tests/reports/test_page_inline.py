@@ -13,10 +13,12 @@ from nerfreg.reports.page import data_uris, smaller, themed_svg
 
 SVG = f"""<?xml version="1.0"?>
 <!DOCTYPE svg PUBLIC "-//W3C//DTD SVG 1.1//EN" "http://www.w3.org/Graphics/SVG/1.1/DTD/svg11.dtd">
-<svg xmlns:xlink="http://www.w3.org/1999/xlink" width="100pt" height="50pt" viewBox="0 0 100 50" version="1.1">
+<svg xmlns:xlink="http://www.w3.org/1999/xlink" width="100pt" height="50pt" viewBox="0 0 100 50">
  <metadata><a href="https://matplotlib.org/">about</a></metadata>
  <defs><path id="m1" d="M 0 0" style="stroke: {INK}"/></defs>
- <g id="axes_1" clip-path="url(#p2)"><use xlink:href="#m1" style="fill: {PALETTE[1]}; stroke: #ffffff"/></g>
+ <g id="axes_1" clip-path="url(#p2)">
+  <use xlink:href="#m1" style="fill: {PALETTE[1]}; stroke: #ffffff"/>
+ </g>
  <rect width="5" height="6"/>
 </svg>
 """

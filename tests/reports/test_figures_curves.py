@@ -1,4 +1,4 @@
-"""Curves: which evaluations they go through, and what is mean and spread over seeds at common times."""
+"""Curves: which evaluations they go through, and their mean and spread over seeds."""
 
 from __future__ import annotations
 
@@ -61,9 +61,9 @@ def test_what_is_unknown_not_finite_or_before_training_is_no_point_of_a_curve() 
 
 
 def test_seeds_meet_at_common_times_and_in_between_values_are_linear_in_log_time() -> None:
-    # seed 0 goes from 1 s to 100 s, seed 1 from 10 s to 1000 s: both have data from 10 s to 100 s.
-    # At 10 s, half way from 1 to 100 in log time, seed 0 is at (10 + 20) / 2 = 15; at 100 s seed 1, half way
-    # from 10 to 1000, is at (11 + 31) / 2 = 21.
+    # Seed 0 goes from 1 s to 100 s, seed 1 from 10 s to 1000 s: both have data from 10 s to 100 s.
+    # At 10 s, halfway from 1 to 100 in log time, seed 0 is at (10 + 20) / 2 = 15; at 100 s seed 1,
+    # halfway from 10 to 1000, is at (11 + 31) / 2 = 21.
     found = band([points((1.0, 100.0), (10.0, 20.0)), points((10.0, 1000.0), (11.0, 31.0))])
     assert found is not None
     assert found[0].tolist() == [10.0, 100.0]
@@ -73,7 +73,8 @@ def test_seeds_meet_at_common_times_and_in_between_values_are_linear_in_log_time
 
 
 def test_a_band_has_the_times_of_all_seeds() -> None:
-    # 100 s is in the middle of 10 s and 1000 s in log time: seed 0 has (0 + 4) / 2 = 2 there, seed 1 has 6.
+    # 100 s is in the middle of 10 s and 1000 s in log time: seed 0 has (0 + 4) / 2 = 2 there, and
+    # seed 1 has 6.
     found = band(
         [points((10.0, 1000.0), (0.0, 4.0)), points((10.0, 100.0, 1000.0), (0.0, 6.0, 4.0))]
     )
