@@ -33,8 +33,8 @@ from nerfreg.reports.methods import method_of
         # neither scene, seed, threads, budget, scoring nor output
         (
             ["scene=llff", "scene.path=x=y", "scene.views=3", "scene.factor=8",
-             "scene.held_out=[0]", "seed=3", "train.threads=1", "train.quiet=true", "train.check=true",
-             "train.seconds=60", "train.steps=null",
+             "scene.held_out=[0]", "seed=3", "train.threads=1", "train.quiet=true",
+             "train.check=true", "train.seconds=60", "train.steps=null",
              "eval.count=3", "eval=fast", "hydra.run.dir=x", "hydra/launcher=joblib", "device=cpu"],
             {}, "vanilla",
         ),

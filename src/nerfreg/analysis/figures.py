@@ -22,8 +22,8 @@ case, as matplotlib writes colours to SVG, since a page replaces them there by i
 """
 MARKERS = ("o", "s", "^", "D", "v", "p", "<", ">", "h", "d")
 DASHES: tuple[Any, ...] = ("solid", (0, (5, 1.6)), (0, (5, 1.5, 1, 1.5)))
-INK, GUIDE, FAINT, GRID = "#1b1f24", "#6b7280", "#a3a9b2", "#e4e6e9"
-"""Text; axes, notes and guides; what stands back; the grid."""
+INK, GUIDE, GRID = "#1b1f24", "#6b7280", "#e4e6e9"
+"""Text; axes, notes and guides; the grid."""
 DPI = 200.0
 
 

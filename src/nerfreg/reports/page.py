@@ -15,7 +15,7 @@ from markupsafe import Markup
 from matplotlib.colors import to_hex
 
 from nerfreg import __version__
-from nerfreg.analysis.figures import FAINT, GRID, GUIDE, INK, PALETTE
+from nerfreg.analysis.figures import GRID, GUIDE, INK, PALETTE
 from nerfreg.files import write_text
 from nerfreg.reports.pictures import ComparedView, Image
 from nerfreg.reports.records import NamedRun, by_setting
@@ -28,7 +28,7 @@ PICTURE_BUDGET = 12_000_000
 """Characters that all pictures together may take, so that the page stays below 15 MB."""
 ENCODINGS = (("png", None, 1), ("jpeg", 92, 1), ("jpeg", 80, 1), ("jpeg", 80, 2), ("jpeg", 70, 4))
 """File type, quality, by what to divide the size of a picture, from the best to the smallest."""
-COLORS = {INK: "ink", GUIDE: "guide", FAINT: "faint", GRID: "grid", "#ffffff": "page"}
+COLORS = {INK: "ink", GUIDE: "guide", GRID: "grid", "#ffffff": "page"}
 COLORS |= {color: f"series-{index}" for index, color in enumerate(PALETTE)}
 """Colours of the figures, and the names of those that a page has in their place."""
 
