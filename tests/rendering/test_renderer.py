@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import pytest
 import torch
@@ -126,6 +127,29 @@ def test_encoder_input_is_asked_for_every_evaluation(field: RadianceField) -> No
     renderer.render(rendering.rays, a_step(), like=rendering)
     assert Watcher.seen == [(6, 8), (6, 16), (6, 24)]
     assert renderer.points == 6 * 48
+
+
+def test_directions_that_differ_along_a_ray_follow_their_samples(field: RadianceField) -> None:
+    """Given sample by sample, directions that are the same along a ray change nothing."""
+
+    class PerSample(Hooks):
+        def encoder_input(self, samples: Samples, step: Step) -> Samples:
+            directions = samples.directions[:, None].expand(*samples.t.shape, 3)
+            # Near samples see another direction than far ones, so that their order matters.
+            turned = torch.where(samples.t[..., None] < self.split, -directions, directions)
+            return replace(samples, directions=turned)
+
+    rays = some_rays()
+    expected = Renderer(field, SamplerConfig(8, 16), Hooks()).render(rays, a_step())
+    hooks = PerSample()
+    hooks.split = 0.0
+    same = Renderer(field, SamplerConfig(8, 16), hooks).render(rays, a_step())
+    torch.testing.assert_close(same.rgb, expected.rgb)
+    hooks.split = 3.0
+    turned = Renderer(field, SamplerConfig(8, 16), hooks).render(rays, a_step())
+    again = Renderer(field, SamplerConfig(8, 16), hooks).render(rays, a_step(), like=turned)
+    assert not torch.allclose(turned.rgb, expected.rgb)
+    torch.testing.assert_close(again.rgb, turned.rgb)
 
 
 def test_rays_that_miss_the_box_are_their_background(field: RadianceField) -> None:

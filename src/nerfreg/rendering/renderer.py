@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from contextlib import AbstractContextManager
 from typing import Protocol, runtime_checkable
 
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 from torch import Tensor
 
 from nerfreg.field.directions import WIDTH, spherical_harmonics
@@ -71,7 +72,8 @@ class Renderer:
             values = self._evaluate(samples)
             # The earlier choice of coloured samples is kept although the weights may differ now: a
             # perturbation of colours has a row for each of these samples.
-            return self._composite(rays, like.t, like.t_edges, values, samples, like.colored)
+            color = self._color(values, samples.directions, samples.color_features)
+            return assemble(rays, like.t, like.t_edges, values.density, color, like.colored)
         # Both evaluations of the field add to one gradient of the hash table, which saves zeroing
         # and adding a second one: 100 MB of writes per step at 2^19 entries per level.
         with self.field.grid.one_gradient():
@@ -91,7 +93,8 @@ class Renderer:
             rays.groups,
         )
         ray_near, ray_far = _per_ray(near, rays.groups), _per_ray(far, rays.groups)
-        first = self._evaluate(self._encode(rays, coarse, step))
+        coarse_samples = self._encode(rays, coarse, step)
+        first = self._evaluate(coarse_samples)
         # Where samples are placed has no gradient, but their values have: the coarse samples are
         # composited with the fine ones, so that the gradient goes through both evaluations.
         with torch.no_grad():
@@ -109,9 +112,12 @@ class Renderer:
             )
             fine = _per_ray(fine, rays.groups)
             t, order = merge(coarse, fine)
-        samples = self._encode(rays, fine, step)
-        both = first.followed_by(self._evaluate(samples)).ordered(order)
-        return self._composite(rays, t, edges_between(t, ray_near, ray_far), both, samples)
+        fine_samples = self._encode(rays, fine, step)
+        both = first.followed_by(self._evaluate(fine_samples)).ordered(order)
+        directions = _merged_directions(coarse_samples, fine_samples, order)
+        edges = edges_between(t, ray_near, ray_far)
+        color = self._color(both, directions, fine_samples.color_features)
+        return assemble(rays, t, edges, both.density, color)
 
     def _encode(self, rays: Rays, t: Tensor, step: Step) -> Samples:
         samples = Samples(
@@ -130,23 +136,19 @@ class Renderer:
         rows = torch.arange(points, device=raw.device).view(samples.t.shape)
         return FieldValues(self.field.density(raw).view(samples.t.shape), raw, rows)
 
-    def _composite(
+    def _color(
         self,
-        rays: Rays,
-        t: Float[Tensor, "rays samples"],
-        t_edges: Float[Tensor, "rays edges"],
         values: FieldValues,
-        samples: Samples,
-        colored: Bool[Tensor, "rays samples"] | None = None,
-    ) -> Rendering:
-        def color(ray: Tensor, sample: Tensor) -> Float[Tensor, "colored 3"]:
-            return self.field.color(
-                values.picked(ray, sample),
-                _harmonics(samples.directions, ray, sample),
-                samples.color_features,
-            )
+        directions: Float[Tensor, "rays 3"] | Float[Tensor, "rays samples 3"],
+        features: float | None,
+    ) -> Callable[[Tensor, Tensor], Float[Tensor, "colored 3"]]:
+        """Return a function that evaluates the colours of samples, given their indices."""
 
-        return assemble(rays, t, t_edges, values.density, color, colored)
+        def color(ray: Tensor, sample: Tensor) -> Float[Tensor, "colored 3"]:
+            harmonics = _harmonics(directions, ray, sample)
+            return self.field.color(values.picked(ray, sample), harmonics, features)
+
+        return color
 
 
 def _harmonics(directions: Tensor, ray: Tensor, sample: Tensor) -> Tensor:
@@ -154,6 +156,19 @@ def _harmonics(directions: Tensor, ray: Tensor, sample: Tensor) -> Tensor:
         # Computed once per ray and copied to its samples.
         return spherical_harmonics(directions).index_select(0, ray)
     return spherical_harmonics(directions[ray, sample])
+
+
+def _merged_directions(coarse: Samples, fine: Samples, order: Tensor) -> Tensor:
+    """Return (R, 3), or (R, N, 3) in the order of all samples where a plugin made them differ."""
+    if coarse.directions.dim() == fine.directions.dim() == 2:
+        return fine.directions
+    parts = [
+        given.directions
+        if given.directions.dim() == 3
+        else given.directions[:, None].expand(*given.t.shape, 3)
+        for given in (coarse, fine)
+    ]
+    return torch.cat(parts, dim=1).gather(1, order[..., None].expand(-1, -1, 3))
 
 
 def _per_group(values: Tensor, groups: Tensor | None, reduce: str) -> Tensor:
