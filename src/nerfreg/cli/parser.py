@@ -34,7 +34,9 @@ def make_parser() -> Parser:
         description="Few-shot NeRF regularization as plugins.",
         epilog=EXAMPLES,
     )
-    parser.add_argument("--version", action="version", version=f"nerfreg {__version__}")
+    parser.add_argument(
+        "--version", action="version", version=f"nerfreg {__version__}", help="print the version"
+    )
     parser.add_argument("--debug", action="store_true", help="show the traceback of an error")
     parser.add_argument(
         "-sc",

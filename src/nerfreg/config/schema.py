@@ -29,9 +29,9 @@ class Config:
     """Everything that a run depends on.
 
     Attributes:
-        name: What the run's folder is called; made of scene and regularizers if None.
-        seed: Of all randomness in the run.
-        device: "auto" (a GPU if there is one), "cpu" or "cuda".
+        name: Name of the run's folder; None: made of the scene and the regularizers.
+        seed: Seed of all randomness in the run.
+        device: Where the field is trained: "auto" (a GPU if there is one), "cpu" or "cuda".
         scene: One of `nerfreg.scenes.SCENES`.
         field: Hash grid and networks.
         sampler: Samples along a ray.
