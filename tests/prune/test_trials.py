@@ -13,6 +13,7 @@ import pytest
 from nerfreg import Regularizer
 from nerfreg.config.schema import Config
 from nerfreg.errors import NerfregError
+from nerfreg.field.fit import fitted
 from nerfreg.prune.plan import Trial
 from nerfreg.prune.trials import Trials, in_share, usual_time
 from nerfreg.registry import Hooks
@@ -101,6 +102,21 @@ def test_a_step_bears_its_share_of_what_comes_before_the_first(
     # of a whole run of 4 steps, not of this one of 2
     assert measured.step_seconds > 0.1
     assert measured.seconds > 0.4
+
+
+def test_a_trial_trains_the_grid_that_a_run_would(compose: Callable[..., Config]) -> None:
+    words = (
+        "scene.size=8",
+        "scene.views=3",
+        "scene.held_out=[0]",
+        "train.steps=4",
+        "field.fit=true",
+    )
+    config = compose(*words, "train.quiet=true")
+    trials = Trials(config, 2)
+    trainer = trials._trainer(Trial((), (0,), 0, 2))
+    expected = fitted(config.field, trials.scene)
+    assert trainer.field.grid.layout.levels == expected.levels < config.field.levels
 
 
 def test_a_single_view_cannot_be_held_out(compose: Callable[..., Config]) -> None:

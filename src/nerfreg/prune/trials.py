@@ -15,6 +15,7 @@ from nerfreg.config.schema import Config
 from nerfreg.errors import NerfregError, NonFiniteError
 from nerfreg.evaluation.lpips import load_lpips
 from nerfreg.evaluation.scores import Scores, score_views
+from nerfreg.field.fit import fitted
 from nerfreg.hooks import Regularizer
 from nerfreg.prune.ledger import Measurement
 from nerfreg.prune.plan import Trial
@@ -85,7 +86,8 @@ class Trials:
             for name in trial.regularizers
         }
         train = replace(config.train, steps=trial.steps, seconds=None)
-        parts = config.field, config.sampler, config.optim
+        # The grid that a run on these views would have.
+        parts = fitted(config.field, scene), config.sampler, config.optim
         return Trainer(scene, Hooks(plugins), *parts, train, trial.seed, self._device)
 
     def _score(self, trainer: Trainer) -> Scores:
