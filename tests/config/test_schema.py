@@ -238,7 +238,7 @@ def test_saved_run_is_read_back_with_its_types(tmp_path: Path) -> None:
     ("text", "overrides", "message"),
     [
         (RUN, ["train.rayz=7"], "unknown key 'train.rayz'; did you mean 'train.rays'"),
-        (RUN, ["rays"], "'rays' is no override; write key=value"),
+        (RUN, ["rays"], "'rays' is not an override; write key=value"),
         (RUN.replace("distortion", "gone"), [], "reg.gone is not installed here"),
         ("scene: {format: hologram}", [], "hologram"),
         ("a: [", [], "config.yaml"),

@@ -91,6 +91,10 @@ def install() -> None:
     target = ["--disable-pip-version-check", "--target", "installed", "."]
     subprocess.run([sys.executable, "-m", "pip", "install", *options, *target], check=True)
     importlib.invalidate_caches()
+    # Another test may have imported an older package of the same name.
+    packages = {path.name for path in Path("installed").iterdir()}
+    for module in [name for name in sys.modules if name.partition(".")[0] in packages]:
+        del sys.modules[module]
 
 
 def run(words: list[str]) -> None:
