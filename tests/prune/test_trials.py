@@ -27,7 +27,7 @@ SMALL = [
 @pytest.fixture
 def photographs(tmp_path: Path) -> Path:
     """NeRF-Synthetic: three training frames of 32 x 32 pixels on a circle, and no test images."""
-    chance = np.random.default_rng(0)
+    generator = np.random.default_rng(0)
     for part, count in (("train", 3), ("test", 2)):
         frames = []
         for index in range(count):
@@ -47,7 +47,7 @@ def photographs(tmp_path: Path) -> Path:
     for index in range(3):
         iio.imwrite(
             tmp_path / "train" / f"r_{index}.png",
-            chance.integers(0, 256, (32, 32, 4), dtype=np.uint8),
+            generator.integers(0, 256, (32, 32, 4), dtype=np.uint8),
         )
     return tmp_path
 

@@ -82,7 +82,7 @@ class Report:
         self.spot = spot
         try:
             yield
-        except Exception as error:  # a stranger's plugin may raise anything
+        except Exception as error:  # a foreign plugin may raise anything
             self.judge(check, [f"raises {type(error).__name__}: {error}".partition("\n")[0]])
 
     def judge(self, check: str, wrong: Iterable[str]) -> None:

@@ -11,6 +11,7 @@ from safetensors.torch import load_file, save_file
 
 from nerfreg.errors import NerfregError
 from nerfreg.field import RadianceField
+from nerfreg.files import json_text, write_text
 
 FOLDER = "checkpoint"
 WEIGHTS = "field.safetensors"
@@ -51,7 +52,7 @@ def save_checkpoint(run: Path, field: RadianceField, state: State) -> None:
     # a full disk for example, leaves the old pair, and old and new files are mixed only if the
     # process ends between the two renamings.
     save_file(weights, folder / f".{WEIGHTS}")
-    (folder / f".{STATE}").write_text(json.dumps(asdict(state), indent=2) + "\n", encoding="utf-8")
+    write_text(folder / f".{STATE}", json_text(asdict(state), indent=2) + "\n")
     for name in (WEIGHTS, STATE):
         (folder / f".{name}").replace(folder / name)
 

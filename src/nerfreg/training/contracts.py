@@ -123,7 +123,7 @@ def wrong_layer(layer: object, in_features: int, out_features: int) -> list[str]
         with torch.no_grad(), torch.random.fork_rng(devices=[]):
             output = layer(probe)
             affine = layer.effective() if isinstance(layer, AffineLayer) else None
-    except Exception as error:  # a stranger's module may raise anything
+    except Exception as error:  # a foreign module may raise anything
         failure = f"fails on (points, {in_features}): {type(error).__name__}: {error}"
         return [*wrong, failure.partition("\n")[0]]
     wrong += _unlike("output", output, probe.new_empty(2, out_features))

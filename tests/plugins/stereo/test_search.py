@@ -30,9 +30,9 @@ def side_by_side(count, baseline=0.6):
 
 def texture(x, y, seed):
     """A colour for each place of a plane: waves of a few pixels' length in all directions."""
-    chance = torch.Generator().manual_seed(seed)
-    waves = torch.randn(8, 3, 2, generator=chance) * 5
-    phases = torch.rand(8, 3, generator=chance) * 6
+    generator = torch.Generator().manual_seed(seed)
+    waves = torch.randn(8, 3, 2, generator=generator) * 5
+    phases = torch.rand(8, 3, generator=generator) * 6
     places = torch.stack([x, y], dim=-1)
     return 0.5 + 0.06 * torch.sin(torch.einsum("hwi,nci->hwnc", places, waves) + phases).sum(2)
 

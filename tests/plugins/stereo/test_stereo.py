@@ -89,8 +89,8 @@ def test_no_rays():
 
 
 def test_gradcheck():
-    chance = torch.Generator().manual_seed(0)
-    tau = torch.rand(3, 4, dtype=torch.float64, generator=chance)
+    generator = torch.Generator().manual_seed(0)
+    tau = torch.rand(3, 4, dtype=torch.float64, generator=generator)
     edges = torch.linspace(1, 5, 5, dtype=torch.float64).expand(3, 5)
     known = torch.tensor([[1.5, 1.75], [2.5, 4.5], NOTHING], dtype=torch.float64)
     assert torch.autograd.gradcheck(lambda tau: loss(tau, edges, known, 0.1), tau.requires_grad_())
