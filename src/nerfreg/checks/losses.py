@@ -13,6 +13,7 @@ from nerfreg.checks.cases import SIZES, Case
 from nerfreg.checks.driver import Driver, Subject
 from nerfreg.checks.inputs import Inputs, cast
 from nerfreg.checks.report import LIMITS, Report
+from nerfreg.rays.batch import Batch
 from nerfreg.training.contracts import Untouched, wrong_terms
 
 OWN_FLOOR = 1e-12
@@ -25,9 +26,9 @@ SCALE = 2.0**10
 def check_losses(report: Report, case: Case, inputs: Inputs) -> None:
     """Check all that can be said of the loss of one batch, in the precision of the inputs."""
     driver, spot = Driver(report.subject, inputs), report.spot
-    step, watch = driver.step(), Untouched(driver.rendering)
-    before, terms = step.generator.get_state(), driver.terms(step)
-    driver.keep_contract(step)
+    batch, watch = Batch.of(inputs.rays, driver.step()), Untouched(driver.rendering)
+    terms = driver.terms(batch.step)
+    driver.keep_contract(batch.step)
     wrong = watch.edits() + wrong_terms(terms)
     report.judge("value", wrong)
     if driver.broken:
@@ -44,8 +45,7 @@ def check_losses(report: Report, case: Case, inputs: Inputs) -> None:
     if spot.dtype in LIMITS:
         _compare(report, driver, terms)
         # A loss that draws random numbers draws others for another batch.
-        drawn = not torch.equal(before, step.generator.get_state())
-        if spot.samples == SIZES[-1] and not drawn:
+        if spot.samples == SIZES[-1] and not batch.drawn:
             report.judge("invariance", _variances(driver, terms, spot.dtype))
     if case.differentiable(spot):
         for name in trained:

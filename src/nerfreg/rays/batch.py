@@ -31,6 +31,11 @@ class Batch:
         """Return a batch of these rays, with the state that the step's generator has now."""
         return cls(rays, step, step.generator.get_state())
 
+    @property
+    def drawn(self) -> bool:
+        """Whether random numbers have been drawn from the step's generator since."""
+        return not torch.equal(self.rng_state, self.step.generator.get_state())
+
     def render(self) -> Rendering:
         """Render the rays.
 
