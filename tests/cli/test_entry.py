@@ -84,6 +84,8 @@ def test_help_of_a_verb(verb: str, capsys: pytest.CaptureFixture[str]) -> None:
         ),
         (["train", "reg.kl.weight=1"], "reg.kl is not selected; add +reg=kl"),
         (["train", "reg.kll.weight=1"], "unknown plugin 'kll' in reg.kll; did you mean 'kl'?"),
+        (["train", "field=5"], "unknown choice field=5; known: hash_grid, paper"),
+        (["train", "-m", "optim=adam,true"], "unknown choice optim=true; known: adam, paper"),
         (["train", "scen=llff"], "unknown key 'scen'; did you mean 'scene'?"),
         (["train", "scene=lff"], "unknown choice scene=lff; did you mean 'llff'?"),
         (["train", "+foo=1"], "unknown key 'foo'"),

@@ -14,6 +14,7 @@ from omegaconf.errors import (
 )
 from yaml import YAMLError
 
+from nerfreg.config.folders import choices_on_disk, groups_on_disk
 from nerfreg.config.search_path import options
 from nerfreg.errors import NerfregError, nearest
 from nerfreg.registry import PluginInfo
@@ -39,11 +40,18 @@ class Refused(BaseException):
 
 
 def check_overrides(overrides: Sequence[str]) -> None:
-    """Refuse a second `+reg=`, which Hydra would answer in terms of defaults lists.
+    """Refuse what Hydra would answer in terms of its own: a second `+reg=`, and `field=5`.
 
     Raises:
-        NerfregError: There are two, with the list that was meant.
+        NerfregError: There is one, with what may have been meant.
     """
+    for override in overrides:
+        group, _, values = override.lstrip("+").partition("=")
+        # Hydra reads these words as a number or a boolean, and names of choices are strings.
+        for value in values.split(",") if group in groups_on_disk() else ():
+            if re.fullmatch(r"[+-]?[\d.]+(e[+-]?\d+)?|true|false", value, re.IGNORECASE):
+                hint = nearest(value, choices_on_disk(group))
+                raise NerfregError(f"unknown choice {group}={value}; {hint}")
     choices = [
         override.split("=", 1)[1].strip("[]")
         for override in overrides
