@@ -7,7 +7,7 @@ import math
 import re
 from collections.abc import Callable, Collection, Sequence
 from pathlib import Path
-from typing import NoReturn
+from typing import Any, NoReturn
 
 from nerfreg.errors import NerfregError, nearest
 
@@ -15,13 +15,12 @@ from nerfreg.errors import NerfregError, nearest
 class Parser(argparse.ArgumentParser):
     """Raises NerfregError where argparse would print its usage and exit."""
 
-    def __init__(self, *args: object, **kwargs: object) -> None:
-        settings = {
+    def __init__(self, **settings: Any) -> None:
+        usual = {
             "allow_abbrev": False,
             "formatter_class": argparse.RawDescriptionHelpFormatter,
-            **kwargs,
         }
-        super().__init__(*args, **settings)  # type: ignore[arg-type]
+        super().__init__(**{**usual, **settings})
 
     @property
     def verb(self) -> str:

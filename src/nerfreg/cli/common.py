@@ -36,10 +36,10 @@ def add_run(parser: Parser) -> None:
 
 def add_overrides(parser: Parser) -> None:
     """Let a verb take overrides, which Hydra completes."""
-    action = parser.add_argument(
+    action: Any = parser.add_argument(
         "overrides",
         metavar="OVERRIDE",
         nargs="*",
         help="KEY=VALUE of the configuration, GROUP=CHOICE, or +reg=NAME",
     )
-    action.completer = complete_overrides  # type: ignore[attr-defined]
+    action.completer = complete_overrides

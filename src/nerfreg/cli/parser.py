@@ -161,7 +161,7 @@ keys:
   out=FOLDER               where the files go (RUN/renders)""",
     )
     add_run(parser)
-    action = parser.add_argument("keys", metavar="KEY=VALUE", nargs="*", help="see below")
+    action: Any = parser.add_argument("keys", metavar="KEY=VALUE", nargs="*", help="see below")
     keys = (
         "path=test",
         "path=spiral",
@@ -172,7 +172,7 @@ keys:
         "format=mp4",
         "out=",
     )
-    action.completer = lambda prefix, **_: [key for key in keys if key.startswith(prefix)]  # type: ignore[attr-defined]
+    action.completer = lambda prefix, **_: [key for key in keys if key.startswith(prefix)]
 
 
 def _add_plugins(verbs: Any) -> None:

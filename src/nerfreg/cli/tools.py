@@ -21,13 +21,13 @@ def add_check(verbs: Any) -> None:
         "check plugins against stiff and extreme cases",
         "[PLUGIN ...] [reg.NAME.KEY=VALUE ...] [options]",
     )
-    action = parser.add_argument(
+    action: Any = parser.add_argument(
         "plugins",
         metavar="PLUGIN",
         nargs="*",
         help="names of plugins, or `compositing`; all if none. reg.NAME.KEY=VALUE configures one",
     )
-    action.completer = complete_plugins  # type: ignore[attr-defined]
+    action.completer = complete_plugins
     add = parser.add_argument
     add("--case", metavar="NAME", help="only this case")
     add(
