@@ -11,6 +11,7 @@ import json
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
+from typing import Any
 
 import torch
 from jaxtyping import Float
@@ -151,14 +152,14 @@ def load_recording(path: Path) -> Recording:
     saved = OmegaConf.create(metadata["config"])
     assert isinstance(saved, DictConfig)
     step = json.loads(metadata["step"])
-    rays = Rays(**{field.name: tensors.get(f"rays.{field.name}") for field in fields(Rays)})  # type: ignore[arg-type]
+    parts: dict[str, Any] = {part.name: tensors.get(f"rays.{part.name}") for part in fields(Rays)}
     low, high = step["bounds"]
     generator = torch.Generator()
     generator.set_state(tensors["chance"])
     position = (step["index"], step["total"], step["fraction"])
     return Recording(
         config=restored(saved, str(path)),
-        batch=Batch.of(rays, Step(*position, generator, (low, high))),
+        batch=Batch.of(Rays(**parts), Step(*position, generator, (low, high))),
         weights={
             name.removeprefix("field."): part
             for name, part in tensors.items()
