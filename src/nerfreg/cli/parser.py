@@ -47,10 +47,14 @@ def make_parser() -> Parser:
     verbs = parser.add_subparsers(
         title="verbs", metavar="VERB", dest="verb", prog="nerfreg", parser_class=Parser
     )
-    _add_train(verbs)
+    choices = _choices()
+    keys = "nerfreg train --cfg job shows all keys of a run."
+    training = "train on a scene, score it, and leave a run folder"
+    _add_hydra_verb(verbs, "train", training, f"{choices}\n\n{keys}")
     _add_evaluate(verbs)
     _add_render(verbs)
-    _add_scene(verbs)
+    inspecting = "show what is found in a scene's files, and a picture of its cameras"
+    _add_hydra_verb(verbs, "scene", inspecting, choices)
     _add_plugins(verbs)
     tools.add_check(verbs)
     tools.add_bench(verbs)
@@ -109,26 +113,8 @@ def _add_hydra_options(parser: Parser) -> None:
     add("--hydra-help", action="store_true", help="help of Hydra itself")
 
 
-def _add_train(verbs: Any) -> None:
-    parser = add_verb(
-        verbs,
-        "train",
-        "train on a scene, score it, and leave a run folder",
-        "[OVERRIDE ...] [options]",
-        epilog=f"{_choices()}\n\nnerfreg train --cfg job shows all keys of a run.",
-    )
-    add_overrides(parser)
-    _add_hydra_options(parser)
-
-
-def _add_scene(verbs: Any) -> None:
-    parser = add_verb(
-        verbs,
-        "scene",
-        "show what is found in a scene's files, and a picture of its cameras",
-        "[OVERRIDE ...] [options]",
-        epilog=_choices(),
-    )
+def _add_hydra_verb(verbs: Any, name: str, help: str, epilog: str) -> None:
+    parser = add_verb(verbs, name, help, "[OVERRIDE ...] [options]", epilog=epilog)
     add_overrides(parser)
     _add_hydra_options(parser)
 
