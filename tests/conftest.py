@@ -15,12 +15,12 @@ from hydra import compose as hydra_compose
 from hydra import initialize_config_dir
 from torch import Tensor
 
-from nerfreg import Regularizer, hookimpl, registry
+from nerfreg import Regularizer, hookimpl
 from nerfreg.config.folders import own_folder
 from nerfreg.config.schema import Config, register
 from nerfreg.config.validation import validated
 from nerfreg.hooks import Rays, Rendering, Step
-from nerfreg.registry import Hooks
+from nerfreg.registry import Hooks, plugins
 from nerfreg.scenes import Scene, load_scene
 from nerfreg.training.guard import Guard
 from nerfreg.training.trainer import Trainer
@@ -127,9 +127,9 @@ def rendering() -> Callable[..., Rendering]:
 @pytest.fixture
 def faulty(monkeypatch: pytest.MonkeyPatch) -> type[Faulty]:
     """Installed under this name, like the plugin of any package."""
-    installed = registry._entry_points()
-    point = EntryPoint("faulty", f"{Faulty.__module__}:{Faulty.__name__}", registry.GROUP)
-    monkeypatch.setattr(registry, "_entry_points", lambda: [*installed, point])
+    installed = plugins._entry_points()
+    point = EntryPoint("faulty", f"{Faulty.__module__}:{Faulty.__name__}", plugins.GROUP)
+    monkeypatch.setattr(plugins, "_entry_points", lambda: [*installed, point])
     monkeypatch.setattr(Faulty, "repaired", False)
     return Faulty
 

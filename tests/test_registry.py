@@ -11,10 +11,10 @@ import pytest
 import torch
 from torch import nn
 
-from nerfreg import Needs, NerfregError, Regularizer, hookimpl, registry
+from nerfreg import Needs, NerfregError, Regularizer, hookimpl
 from nerfreg.field.layers import Linear
 from nerfreg.hooks import Samples
-from nerfreg.registry import Hooks, installed
+from nerfreg.registry import Hooks, installed, plugins
 from nerfreg.scenes.cameras import Cameras
 from nerfreg.scenes.scene import Photographs
 
@@ -224,8 +224,8 @@ class Undecorated(Regularizer):
 def test_mistakes_of_an_author_are_told(
     name: str, error: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    point = EntryPoint("wrong", f"{__name__}:{name}", registry.GROUP)
-    monkeypatch.setattr(registry, "_entry_points", lambda: [point])
+    point = EntryPoint("wrong", f"{__name__}:{name}", plugins.GROUP)
+    monkeypatch.setattr(plugins, "_entry_points", lambda: [point])
     [plugin] = installed()
     assert plugin.cls is None
     assert error in plugin.state
@@ -254,7 +254,14 @@ def photographs() -> Photographs:
     cameras = Cameras(
         2, 4, torch.eye(3, 4).repeat(3, 1, 1), torch.ones(3, 2), torch.ones(3, 2), torch.zeros(3, 5)
     )
-    return Photographs(cameras, torch.rand(3, 4, 2, 3), 0.5, 3.0, "forward")
+    return Photographs(
+        cameras=cameras,
+        images=torch.rand(3, 4, 2, 3),
+        box=torch.tensor([[-3.0] * 3, [3.0] * 3]),
+        near=0.5,
+        far=3.0,
+        layout="forward",
+    )
 
 
 def test_depth_is_told_by_one_plugin(photographs) -> None:
@@ -288,8 +295,8 @@ def test_depth_of_a_wrong_kind_is_refused(photographs) -> None:
 
 
 def test_hook_points_and_summary(monkeypatch: pytest.MonkeyPatch) -> None:
-    point = EntryPoint("constant", f"{__name__}:Constant", registry.GROUP)
-    monkeypatch.setattr(registry, "_entry_points", lambda: [point])
+    point = EntryPoint("constant", f"{__name__}:Constant", plugins.GROUP)
+    monkeypatch.setattr(plugins, "_entry_points", lambda: [point])
     [plugin] = installed()
     assert plugin.hook_points == ("needs", "loss")
     assert plugin.summary == "A loss term of 3, on patches of side 4."
@@ -298,15 +305,15 @@ def test_hook_points_and_summary(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_source_checkout_reads_its_own_pyproject(tmp_path: Path) -> None:
     pyproject = tmp_path / "pyproject.toml"
-    assert registry._checkout_entry_points(pyproject) == []
+    assert plugins._checkout_entry_points(pyproject) == []
     pyproject.write_text(
         '[project]\nname = "other"\n[project.entry-points."nerfreg.plugins"]\nx = "y:Z"\n'
     )
-    assert registry._checkout_entry_points(pyproject) == []
+    assert plugins._checkout_entry_points(pyproject) == []
     pyproject.write_text(
         '[project]\nname = "nerfreg"\n[project.entry-points."nerfreg.plugins"]\nx = "y:Z"\n'
     )
-    assert registry._checkout_entry_points(pyproject) == [EntryPoint("x", "y:Z", registry.GROUP)]
+    assert plugins._checkout_entry_points(pyproject) == [EntryPoint("x", "y:Z", plugins.GROUP)]
 
 
 def test_ours_are_all_installed() -> None:

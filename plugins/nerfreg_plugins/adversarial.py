@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Generator
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any, ClassVar, no_type_check
 
 import torch
@@ -15,9 +16,8 @@ from jaxtyping import Float
 from torch import Tensor, nn
 from torch.nn import functional
 
-from nerfreg import Regularizer, Rendering, Samples, Step, hookimpl
+from nerfreg import Regularizer, Rendering, Samples, Step, WrappedLayer, hookimpl
 from nerfreg.errors import require_range
-from nerfreg.field.layers import AffineLayer, shifted
 from nerfreg.numerics import exact
 from nerfreg_plugins.references import adversarial as reference
 
@@ -40,13 +40,10 @@ def pgd_step(delta: Tensor, grad: Tensor, step_size: float, radius: float) -> Te
     return (delta + step_size * grad.sign()).clamp(-radius, radius)
 
 
-class Perturbed(AffineLayer):
+class Perturbed(WrappedLayer):
     """A layer whose input and output can be shifted.
 
-    The layer inside stays what it is, and in the fused kernels if it was there.
-
     Attributes:
-        inner: The layer inside.
         in_features: Width of its input.
         out_features: Width of its output.
         features: What is added to the input, `(P, in)`; None for nothing.
@@ -54,32 +51,18 @@ class Perturbed(AffineLayer):
     """
 
     def __init__(self, inner: nn.Module, in_features: int, out_features: int) -> None:
-        super().__init__(getattr(inner, "activation", "none"))
-        self.inner = inner
+        super().__init__(inner)
         self.in_features = in_features
         self.out_features = out_features
         self.features: Float[Tensor, "points in"] | None = None
         self.raw: Float[Tensor, "points columns"] | None = None
 
-    def effective(self) -> tuple[Float[Tensor, "out in"], Float[Tensor, " out"] | None] | None:
-        """Return weight and bias of the layer inside."""
-        return self.inner.effective() if isinstance(self.inner, AffineLayer) else None
+    def added_input(self) -> Float[Tensor, "points in"] | None:
+        """Return the shift of the input."""
+        return self.features
 
-    def input_shift(self) -> Float[Tensor, "points in"] | None:
-        """Return the shift of the input, with that of the layer inside."""
-        inner = self.inner.input_shift() if isinstance(self.inner, AffineLayer) else None
-        return self.features if inner is None else shifted(inner, self.features)
-
-    def output_shift(self) -> Float[Tensor, "points out"] | None:
-        """Return the shift of the output, with that of the layer inside."""
-        inner = self.inner.output_shift() if isinstance(self.inner, AffineLayer) else None
-        return self._raw() if inner is None else shifted(inner, self._raw())
-
-    def forward(self, x: Float[Tensor, "points in"]) -> Float[Tensor, "points out"]:
-        """Apply the layer inside between the two shifts."""
-        return shifted(self.inner(shifted(x, self.features)), self._raw())
-
-    def _raw(self) -> Float[Tensor, "points out"] | None:
+    def added_output(self) -> Float[Tensor, "points out"] | None:
+        """Return the shift of the output."""
         if self.raw is None:
             return None
         # Raw density is the first column of the density network's output; the geometry features
@@ -185,8 +168,8 @@ class Adversarial(Regularizer):
         }
         for _ in range(self.steps):
             deltas = {name: delta.requires_grad_() for name, delta in deltas.items()}
-            # The search needs no gradient of the weights, which `probe` does not compute.
-            error = self._error(step.probe, rendering, deltas)
+            # The search needs no gradient of the weights.
+            error = self._error(partial(step.rerender, frozen=True), rendering, deltas)
             # Some perturbations may have no influence, as that of colours where all is empty.
             grads = torch.autograd.grad(
                 error, list(deltas.values()), allow_unused=True, materialize_grads=True

@@ -14,9 +14,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from nerfreg import Regularizer, hookimpl
+from nerfreg import AffineLayer, Regularizer, WrappedLayer, hookimpl
 from nerfreg.field.directions import DEGREES
-from nerfreg.field.layers import AffineLayer
 from nerfreg.numerics import exact
 from nerfreg_plugins.references import view_dependence as reference
 
@@ -35,19 +34,17 @@ def damping(inputs: int, scale: float) -> Float[Tensor, " inputs"]:
     return factors
 
 
-class Damped(AffineLayer):
+class Damped(WrappedLayer):
     """A layer that sees its inputs times some factors; affine if the layer inside is.
 
     Attributes:
-        inner: The layer inside.
         factors: Of each input, `(in,)`.
     """
 
     factors: Tensor
 
     def __init__(self, inner: nn.Module, factors: Float[Tensor, " inputs"]) -> None:
-        super().__init__(getattr(inner, "activation", "none"))
-        self.inner = inner
+        super().__init__(inner)
         # They follow from the configuration, so that checkpoints need not hold them.
         self.register_buffer("factors", factors, persistent=False)
 
@@ -59,10 +56,6 @@ class Damped(AffineLayer):
             return None
         affine = self.inner.effective()
         return None if affine is None else (affine[0] * self.factors, affine[1])
-
-    def output_shift(self) -> Float[Tensor, "points out"] | None:
-        """Return the shift of the layer inside."""
-        return self.inner.output_shift() if isinstance(self.inner, AffineLayer) else None
 
     def forward(self, x: Float[Tensor, "points in"]) -> Float[Tensor, "points out"]:
         """Apply the layer inside to the scaled input."""

@@ -36,7 +36,7 @@ def careless(monkeypatch: pytest.MonkeyPatch) -> None:
         EntryPoint("absent", "no_such_module:Absent", "nerfreg.plugins"),
     ]
     monkeypatch.setattr(EntryPoint, "load", lambda point, load=EntryPoint.load: _load(point, load))
-    monkeypatch.setattr("nerfreg.registry._entry_points", lambda: points)
+    monkeypatch.setattr("nerfreg.registry.plugins._entry_points", lambda: points)
 
 
 def _load(point, load):
@@ -143,7 +143,7 @@ def test_replay(monkeypatch, tmp_path):
 def test_strangers_plugin_passes(monkeypatch, capsys):
     monkeypatch.syspath_prepend(PACKAGES / "binary")
     point = EntryPoint("binary_opacity", "nerfreg_binary:BinaryOpacity", "nerfreg.plugins")
-    monkeypatch.setattr("nerfreg.registry._entry_points", lambda: [point])
+    monkeypatch.setattr("nerfreg.registry.plugins._entry_points", lambda: [point])
     assert main(["check", "binary_opacity", "--samples", "48", "--dtype", "float32"]) == 0
     row = capsys.readouterr().out.splitlines()[1].split()
     assert row[:2] == ["binary_opacity", "loss"]

@@ -8,7 +8,7 @@ import torch
 from nerfreg.field import FieldConfig, RadianceField
 from nerfreg.field.layers import Linear
 from nerfreg.rendering.config import SamplerConfig
-from nerfreg.rendering.occupancy import OccupancyGrid
+from nerfreg.rendering.occupancy import occupied_by
 from nerfreg.rendering.views import ViewRenderer
 from nerfreg.scenes import Procedural, Scene
 
@@ -45,7 +45,7 @@ def scene() -> Scene:
 
 def test_occupied_cells_are_those_around_the_ball() -> None:
     box = torch.tensor([[-1.0, -1.0, -1.0], [1.0, 1.0, 1.0]])
-    grid = OccupancyGrid(Ball(box), 32)
+    grid = occupied_by(Ball(box), 32)
     inside = torch.nn.functional.normalize(torch.randn(500, 3), dim=-1) * torch.rand(500, 1) * 0.5
     assert grid.contains(inside + torch.tensor([0.3, 0.0, 0.0])).all()
     # two cells of 1/16 beyond the surface, and a cell's diagonal, nothing is occupied

@@ -56,7 +56,15 @@ class PhotographCase:
         if self.alpha is not None:
             images = torch.cat([images, torch.full((*shape, 1), self.alpha)], dim=-1)
         cameras = Cameras(width, height, poses, focal, center, torch.zeros(views, 5))
-        return Photographs(cameras, images, self.scale * self.near, self.scale * FAR, "forward")
+        reach = self.scale * FAR
+        return Photographs(
+            cameras=cameras,
+            images=images,
+            box=torch.tensor([[-reach] * 3, [reach] * 3]),
+            near=self.scale * self.near,
+            far=reach,
+            layout="forward",
+        )
 
 
 PHOTOGRAPH_CASES = (

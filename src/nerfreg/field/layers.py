@@ -60,6 +60,52 @@ class AffineLayer(nn.Module):
         )
 
 
+class WrappedLayer(AffineLayer):
+    """A layer around another one, which stays in the fused kernels where the inner one does.
+
+    A subclass overrides what it changes: `effective` for weight and bias, `added_input` and
+    `added_output` for what is added point by point. Where the layer inside is not affine, `forward`
+    runs and applies it between the two; a subclass that changes weights overrides that as well.
+
+    Attributes:
+        inner: The layer inside.
+        activation: That of the layer inside; "none" if it has none that is known.
+    """
+
+    def __init__(self, inner: nn.Module) -> None:
+        """Wrap a layer."""
+        super().__init__(getattr(inner, "activation", "none"))
+        self.inner = inner
+
+    def added_input(self) -> Float[Tensor, "points in"] | None:
+        """Return what this layer adds to the input, point by point, or None."""
+        return None
+
+    def added_output(self) -> Float[Tensor, "points out"] | None:
+        """Return what this layer adds to the output, point by point, or None."""
+        return None
+
+    def effective(self) -> tuple[Float[Tensor, "out in"], Float[Tensor, " out"] | None] | None:
+        """Return weight and bias of the layer inside; None if it is not affine."""
+        return self.inner.effective() if isinstance(self.inner, AffineLayer) else None
+
+    def input_shift(self) -> Float[Tensor, "points in"] | None:
+        """Return what this layer and those inside add to the input."""
+        inner = self.inner.input_shift() if isinstance(self.inner, AffineLayer) else None
+        own = self.added_input()
+        return own if inner is None else shifted(inner, own)
+
+    def output_shift(self) -> Float[Tensor, "points out"] | None:
+        """Return what this layer and those inside add to the output."""
+        inner = self.inner.output_shift() if isinstance(self.inner, AffineLayer) else None
+        own = self.added_output()
+        return own if inner is None else shifted(inner, own)
+
+    def forward(self, x: Float[Tensor, "points in"]) -> Float[Tensor, "points out"]:
+        """Compute by plain autograd what the fused kernels compute."""
+        return shifted(self.inner(shifted(x, self.added_input())), self.added_output())
+
+
 class Linear(AffineLayer):
     """A linear layer without bias, initialized as torch does: uniform within 1/sqrt(in)."""
 

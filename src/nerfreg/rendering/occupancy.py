@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 from torch.nn import functional
 
 from nerfreg.field.radiance_field import RadianceField
+from nerfreg.rays.occupancy import OccupancyGrid
 
 EMPTY_THICKNESS = 1e-3
 """Cells with less optical thickness are empty: a row of 128 of them dims a ray by at most 12 %.
@@ -19,57 +22,46 @@ removes haze, at a loss of PSNR (docs/performance.md).
 CHUNK = 2**18
 """Number of cells that are evaluated at once, which bounds the memory."""
 
+IsEmpty = Callable[[Tensor], Tensor]
+"""Returns which positions (P, 3) are declared empty, (P,)."""
 
-class OccupancyGrid:
-    """Cells of the scene's box in which the field has density.
+
+def occupied_by(
+    field: RadianceField, resolution: int, empty: IsEmpty | None = None
+) -> OccupancyGrid:
+    """Find the cells of the cube around the scene's box in which the field has density.
 
     The density is evaluated at one random position in each of the resolution^3 cells. A cell
     counts as occupied if it or one of its 26 neighbours has an optical thickness (density times the
     length of a cell) above `EMPTY_THICKNESS`.
 
-    Attributes:
+    Args:
+        field: The trained field.
         resolution: Cells per side.
-        low: (3,) lowest corner of the grid.
-        cell: Length of a cell, in world units.
-        occupied: (resolution, resolution, resolution) which cells are occupied.
+        empty: Tells which positions have no density whatever the field says; None: none of them.
     """
+    thickness = _thickness(field, resolution, empty)
+    # One sample may miss what a cell contains, so that a neighbour's sample counts as well.
+    occupied = _dilate(thickness > EMPTY_THICKNESS)
+    # The field covers a cube around the box, and so does the grid.
+    return OccupancyGrid.over(field.center, field.half_box, occupied)
 
-    def __init__(self, field: RadianceField, resolution: int) -> None:
-        self.resolution = resolution
-        # The field covers a cube around the box, and so does the grid.
-        self.low = field.center - field.half_box
-        self.cell = 2 * field.half_box / resolution
-        # One sample may miss what a cell contains, so that a neighbour's sample counts as well.
-        self.occupied = _dilate(self._thickness(field) > EMPTY_THICKNESS)
 
-    def contains(self, positions: Float[Tensor, "points 3"]) -> Bool[Tensor, " points"]:
-        """Return whether each position lies in an occupied cell.
-
-        Args:
-            positions: (P, 3) in world units; outside the grid the nearest cell counts.
-
-        Returns:
-            (P,) whether the cell is occupied.
-        """
-        index = ((positions - self.low) / self.cell).long().clamp_(0, self.resolution - 1)
-        return self.occupied.view(-1)[
-            (index[:, 0] * self.resolution + index[:, 1]) * self.resolution + index[:, 2]
-        ]
-
-    @torch.no_grad()
-    def _thickness(self, field: RadianceField) -> Float[Tensor, "x y z"]:
-        n, device = self.resolution, self.low.device
-        # A generator of its own: a view must neither vary between calls nor advance the RNG of a
-        # run that is evaluated while it trains.
-        generator = torch.Generator().manual_seed(0)
-        thickness = torch.empty(n**3, device=device)
-        for start in range(0, n**3, CHUNK):
-            cells = torch.arange(start, min(start + CHUNK, n**3), device=device)
-            corner = torch.stack([cells // n**2, cells // n % n, cells % n], dim=1)
-            inside = torch.rand(corner.shape, generator=generator).to(device)
-            positions = self.low + (corner + inside) * self.cell
-            thickness[cells] = field.density(field.raw_density(positions)) * self.cell
-        return thickness.view(n, n, n)
+@torch.no_grad()
+def _thickness(field: RadianceField, n: int, empty: IsEmpty | None) -> Float[Tensor, "x y z"]:
+    low, cell, device = field.center - field.half_box, 2 * field.half_box / n, field.center.device
+    # A generator of its own: a view must neither vary between calls nor advance the RNG of a run
+    # that is evaluated while it trains.
+    generator = torch.Generator().manual_seed(0)
+    thickness = torch.empty(n**3, device=device)
+    for start in range(0, n**3, CHUNK):
+        cells = torch.arange(start, min(start + CHUNK, n**3), device=device)
+        corner = torch.stack([cells // n**2, cells // n % n, cells % n], dim=1)
+        inside = torch.rand(corner.shape, generator=generator).to(device)
+        positions = low + (corner + inside) * cell
+        found = field.density(field.raw_density(positions)) * cell
+        thickness[cells] = found if empty is None else found.masked_fill(empty(positions), 0)
+    return thickness.view(n, n, n)
 
 
 def _dilate(occupied: Bool[Tensor, "x y z"]) -> Bool[Tensor, "x y z"]:

@@ -9,7 +9,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from nerfreg.numerics import MIN_OPACITY, exact
-from nerfreg.registry import REFERENCE_DIGITS
+from nerfreg.registry.hooks import REFERENCE_DIGITS
 
 PARTS = ("weights", "log_transmittance", "opacity", "depth", "rgb")
 

@@ -24,7 +24,7 @@ from nerfreg.rays.clipping import clip_to_box
 from nerfreg.rendering.blocks import RayBlocks, pixel_blocks
 from nerfreg.rendering.compositing import MIN_WEIGHT, integrate, transmittance
 from nerfreg.rendering.config import SamplerConfig
-from nerfreg.rendering.occupancy import OccupancyGrid
+from nerfreg.rendering.occupancy import occupied_by
 from nerfreg.rendering.sampling import edges_between, stratified
 from nerfreg.rendering.scouts import Scouts
 from nerfreg.scenes.cameras import Cameras
@@ -69,7 +69,7 @@ class ViewRenderer:
         self.field = field
         self.sampler = sampler
         self.scene = scene
-        self.occupancy = OccupancyGrid(field, sampler.skip_resolution)
+        self.occupancy = occupied_by(field, sampler.skip_resolution)
         self.background = torch.zeros(3) if scene.background is None else scene.background
         # Lists of counts, because threads append to them at the same time: `append` is atomic,
         # while `+=` on a number may lose an addition.

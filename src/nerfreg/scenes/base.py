@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import torch
@@ -116,6 +117,8 @@ def assemble(
     layout: str | None = None,
     depths: tuple[float, float] | None = None,
     read_depth: Callable[[int], Float[Tensor, "height width"]] | None = None,
+    folder: Path | None = None,
+    paths: Sequence[Path] = (),
 ) -> Scene:
     """Make a scene of what a format has read.
 
@@ -132,6 +135,8 @@ def assemble(
         layout: The usual layout of the format; None to look at the cameras.
         depths: Least and greatest depth seen from the training cameras; None if unknown.
         read_depth: Returns the true distance along the rays of a view; None if unknown.
+        folder: The scene's folder; None for a scene that is not read from files.
+        paths: The image file of each view; empty for a scene that is not read from files.
 
     Returns:
         The scene.
@@ -159,6 +164,8 @@ def assemble(
         background=torch.full((3,), BACKGROUNDS[config.background]) if has_alpha else None,
         read_depth=read_depth,
         labels=tuple(labels),
+        folder=folder,
+        paths=tuple(paths),
     )
 
 

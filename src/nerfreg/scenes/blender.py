@@ -76,6 +76,8 @@ class Blender(SceneConfig):
             split=split,
             labels=[file.relative_to(folder).with_suffix("").as_posix() for file in files],
             read_image=read,
+            folder=folder,
+            paths=files,
             has_alpha=header.has_alpha,
             layout="orbit",
         )

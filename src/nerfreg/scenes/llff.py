@@ -72,6 +72,8 @@ class LLFF(SceneConfig):
             split=split,
             labels=[file.stem for file in files],
             read_image=read,
+            folder=folder,
+            paths=files,
             has_alpha=header.has_alpha,
             layout="forward",
             depths=(float(seen.min()), float(seen.max())),

@@ -4,31 +4,86 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any, TypeVar
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from nerfreg.scenes.cameras import Cameras
 
+T = TypeVar("T")
 
-@dataclass(frozen=True)
-class Photographs:
-    """What training may look at, and nothing of the test views.
+
+@dataclass(frozen=True, kw_only=True)
+class SceneInfo:
+    """What may be known of a scene before there are rays, and nothing of the test views.
 
     Attributes:
         cameras: The cameras of the V training views, numbered from 0.
-        images: The photographs in [0, 1], `(V, H, W, C)`; C is 3, or 4 with straight alpha.
+        box: Lower and upper corner of the modelled space, `(2, 3)`, in world units.
         near: Where rays begin, in world units.
         far: Where rays end, in world units.
         layout: How the cameras are placed, "orbit" (around an object) or "forward" (side by side).
+        name: Name of the scene.
+        folder: The scene's folder; None for a scene that is not read from files.
+        labels: A name for each training view; empty if they have none.
+        paths: The file of each training image; empty for a scene that is not read from files.
+        metres_per_unit: Length of a world unit in metres; None where it is not known.
     """
 
     cameras: Cameras
-    images: Float[Tensor, "views height width channels"]
+    box: Float[Tensor, "2 3"]
     near: float
     far: float
     layout: str
+    name: str = ""
+    folder: Path | None = None
+    labels: tuple[str, ...] = ()
+    paths: tuple[Path, ...] = ()
+    metres_per_unit: float | None = None
+
+    @property
+    def center(self) -> Float[Tensor, " 3"]:
+        """Centre of the box, `(3,)`."""
+        return self.box.mean(dim=0)
+
+    @property
+    def half_box(self) -> float:
+        """Half the longest side of the box, in world units."""
+        return float((self.box[1] - self.box[0]).max()) / 2
+
+    def unit(self, positions: Float[Tensor, "*points 3"]) -> Float[Tensor, "*points 3"]:
+        """Map world positions to the unit cube that encoders see: the cube around the box."""
+        return (positions - self.center.to(positions)) / (2 * self.half_box) + 0.5
+
+
+@dataclass(frozen=True, kw_only=True)
+class Photographs(SceneInfo):
+    """The training views themselves, with whatever else the scene's files say of their pixels.
+
+    Images of different sizes are padded at the right and at the bottom to one array; per-pixel data
+    that plugins make of them have the same shape.
+
+    Attributes:
+        images: The photographs in [0, 1], `(V, H, W, C)`; C is 3, or 4 with straight alpha.
+        valid: Which pixels belong to a photograph, `(V, H, W)`; None: all of them.
+        masks: Which pixels show what is to be modelled, `(V, H, W)`; None where there are no masks.
+        depth: Distance along the rays, `(V, H, W)`, in world units, NaN where it is not known; None
+            where the files have no depth.
+        points: Sparse points of the scene, `(P, 3)`, in world units; None where there are none.
+        point_views: Pairs of numbers, of a training view and of a point that it shows, `(O, 2)`;
+            None where that is not known.
+    """
+
+    images: Float[Tensor, "views height width channels"]
+    valid: Bool[Tensor, "views height width"] | None = None
+    masks: Bool[Tensor, "views height width"] | None = None
+    depth: Float[Tensor, "views height width"] | None = None
+    points: Float[Tensor, "points 3"] | None = None
+    point_views: Int[Tensor, "observations 2"] | None = None
 
 
 @dataclass(frozen=True)
@@ -52,6 +107,8 @@ class Scene:
         read_depth: Returns the distance along the rays of a view, `(H, W)`, inf where there is
             nothing; None if depth is unknown.
         labels: A name for each view, for messages and files.
+        folder: The scene's folder; None for a scene that is not read from files.
+        paths: The image file of each view; empty for a scene that is not read from files.
     """
 
     name: str
@@ -67,8 +124,31 @@ class Scene:
     background: Float[Tensor, " 3"] | None
     read_depth: Callable[[int], Float[Tensor, "height width"]] | None = None
     labels: tuple[str, ...] = ()
+    folder: Path | None = None
+    paths: tuple[Path, ...] = ()
+
+    @cached_property
+    def info(self) -> SceneInfo:
+        """What plugins may know of the scene."""
+        return SceneInfo(**self._info())
 
     def photographs(self) -> Photographs:
         """Read the training views."""
         images = torch.stack([self.read_image(view) for view in self.train])
-        return Photographs(self.cameras.of(self.train), images, self.near, self.far, self.layout)
+        return Photographs(images=images, **self._info())
+
+    def _info(self) -> dict[str, Any]:
+        def of_training(of_all: tuple[T, ...]) -> tuple[T, ...]:
+            return tuple(of_all[view] for view in self.train) if of_all else ()
+
+        return {
+            "cameras": self.cameras.of(self.train),
+            "box": self.box,
+            "near": self.near,
+            "far": self.far,
+            "layout": self.layout,
+            "name": self.name,
+            "folder": self.folder,
+            "labels": of_training(self.labels),
+            "paths": of_training(self.paths),
+        }

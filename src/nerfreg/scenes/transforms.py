@@ -101,6 +101,8 @@ class Transforms(SceneConfig):
             split=split,
             labels=[PurePosixPath(name).as_posix() for name in names],
             read_image=read,
+            folder=path.parent,
+            paths=files,
             has_alpha=header.has_alpha,
         )
 

@@ -12,6 +12,7 @@ from nerfreg.scenes.cameras import Cameras
 
 WIDTH, HEIGHT, FOCAL = 48, 36, 40.0
 NEAR, FAR = 2.0, 12.0
+BOX = torch.tensor([[-FAR] * 3, [FAR] * 3])
 
 
 def side_by_side(count, baseline=0.6):
@@ -37,6 +38,11 @@ def texture(x, y, seed):
     return 0.5 + 0.06 * torch.sin(torch.einsum("hwi,nci->hwnc", places, waves) + phases).sum(2)
 
 
+def taken_by(cameras, images, near, far, layout):
+    """These images as the photographs of a scene."""
+    return Photographs(cameras=cameras, images=images, box=BOX, near=near, far=far, layout=layout)
+
+
 def photographs(depth_of, count=3, seed=0, layout="forward"):
     """Every pixel shows the texture at depth_of(x of the world) along the optical axis."""
     cameras = side_by_side(count)
@@ -47,7 +53,7 @@ def photographs(depth_of, count=3, seed=0, layout="forward"):
         depth = depth_of(origins, directions)
         points = (origins + directions * depth[:, None]).view(HEIGHT, WIDTH, 3)
         images.append(texture(points[..., 0], points[..., 1], seed))
-    return Photographs(cameras, torch.stack(images), NEAR, FAR, layout)
+    return taken_by(cameras, torch.stack(images), NEAR, FAR, layout)
 
 
 def distances(photos, depth):
@@ -169,21 +175,21 @@ def test_units_do_not_matter():
     cameras = Cameras(
         WIDTH, HEIGHT, poses, photos.cameras.focal, photos.cameras.center, photos.cameras.distortion
     )
-    larger = agreed_depth(Photographs(cameras, photos.images, NEAR * 1024, FAR * 1024, "forward"))
+    larger = agreed_depth(taken_by(cameras, photos.images, NEAR * 1024, FAR * 1024, "forward"))
     torch.testing.assert_close(larger, agreed_depth(photos) * 1024, equal_nan=True)
 
 
 def test_photographs_of_different_things_agree_on_little():
     photos = photographs(wall(5.0))
     others = torch.stack([photographs(wall(5.0), seed=seed).images[seed] for seed in range(3)])
-    known = agreed_depth(Photographs(photos.cameras, others, NEAR, FAR, "forward"))
+    known = agreed_depth(taken_by(photos.cameras, others, NEAR, FAR, "forward"))
     assert known.isfinite().all(-1).float().mean() < 0.3
 
 
 def test_without_texture_nothing_is_nearer_or_farther_than_the_scene():
     photos = photographs(wall(5.0))
     known = agreed_depth(
-        Photographs(photos.cameras, torch.full_like(photos.images, 0.5), NEAR, FAR, "forward")
+        taken_by(photos.cameras, torch.full_like(photos.images, 0.5), NEAR, FAR, "forward")
     )
     along = known.nan_to_num(5.0)
     assert (along > 0).all() and (along <= FAR * 1.5).all()
@@ -194,7 +200,7 @@ def test_nothing_is_known_where_there_is_no_object():
     alpha = torch.ones(3, HEIGHT, WIDTH, 1)
     alpha[:, :, : WIDTH // 2] = 0.2
     known = agreed_depth(
-        Photographs(photos.cameras, torch.cat([photos.images, alpha], -1), NEAR, FAR, "orbit")
+        taken_by(photos.cameras, torch.cat([photos.images, alpha], -1), NEAR, FAR, "orbit")
     )
     assert known[:, :, : WIDTH // 2].isnan().all()
     assert known[:, :, WIDTH // 2 + 4 :].isfinite().float().mean() > 0.5
@@ -207,5 +213,5 @@ def test_one_photograph_tells_nothing():
 
 def test_rays_that_begin_at_the_camera():
     photos = photographs(wall(5.0))
-    known = agreed_depth(Photographs(photos.cameras, photos.images, 0.0, FAR, "forward"))
+    known = agreed_depth(taken_by(photos.cameras, photos.images, 0.0, FAR, "forward"))
     assert (known.nan_to_num(1.0) > 0).all() and known.isfinite().any()

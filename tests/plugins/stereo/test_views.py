@@ -19,7 +19,15 @@ def views(images, factor=1):
     poses[1, 0, 3] = 1.0
     center = torch.tensor([WIDTH / 2, HEIGHT / 2]).expand(2, 2)
     cameras = Cameras(WIDTH, HEIGHT, poses, torch.full((2, 2), FOCAL), center, torch.zeros(2, 5))
-    return PinholeViews(Photographs(cameras, images, NEAR, FAR, "forward"), factor, sources=4)
+    taken = Photographs(
+        cameras=cameras,
+        images=images,
+        box=torch.tensor([[-FAR] * 3, [FAR] * 3]),
+        near=NEAR,
+        far=FAR,
+        layout="forward",
+    )
+    return PinholeViews(taken, factor, sources=4)
 
 
 @pytest.fixture

@@ -1,18 +1,10 @@
-"""Find plugins, refuse what cannot work together, and call the hooks of those that are selected.
-
-A plugin is an entry point of the group `nerfreg.plugins`. Nothing here knows any of them by name.
-"""
+"""The hooks of one run: the selected plugins, called at each hook point in their order."""
 
 from __future__ import annotations
 
-import inspect
 import math
-import tomllib
-from collections import Counter
 from dataclasses import dataclass
 from functools import cache
-from importlib.metadata import EntryPoint, PackageNotFoundError, distribution, entry_points
-from pathlib import Path
 from typing import Any
 
 import mpmath
@@ -20,8 +12,7 @@ import pluggy
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from nerfreg import __version__
-from nerfreg.errors import NerfregError, nearest
+from nerfreg.errors import NerfregError
 from nerfreg.field.layers import Linear
 from nerfreg.hooks import (
     PROJECT,
@@ -34,113 +25,10 @@ from nerfreg.hooks import (
     Step,
     hookimpl,
 )
+from nerfreg.registry.plugins import HOOKS, implemented
 from nerfreg.scenes.scene import Photographs
 
-GROUP = "nerfreg.plugins"
-HOOKS = tuple(name for name in vars(HookSpecs) if name.startswith("nerfreg_"))
-CHECK_HOOKS = ("nerfreg_reference", "nerfreg_contract")
 REFERENCE_DIGITS = 150
-
-
-@dataclass(frozen=True)
-class PluginInfo:
-    """One entry point.
-
-    Attributes:
-        name: Of the entry point, by which the plugin is selected.
-        package: The distribution that it comes from.
-        version: Of that distribution.
-        cls: The plugin's class; None if it cannot be used.
-        error: Why it cannot be used.
-    """
-
-    name: str
-    package: str
-    version: str
-    cls: type[Regularizer] | None
-    error: str = ""
-
-    @property
-    def hook_points(self) -> tuple[str, ...]:
-        """The hooks that act in a run, without their prefix, in the order of a step."""
-        used = _implemented(self.cls) if self.cls else ()
-        return tuple(hook.removeprefix("nerfreg_") for hook in used if hook not in CHECK_HOOKS)
-
-    @property
-    def summary(self) -> str:
-        """First line of the docstring."""
-        return inspect.cleandoc(self.cls.__doc__ or "").partition("\n")[0] if self.cls else ""
-
-    @property
-    def state(self) -> str:
-        """What is wrong with the plugin; `ok` if nothing is."""
-        return self.error or "ok"
-
-
-def installed() -> list[PluginInfo]:
-    """Return all plugins by name, the broken ones included."""
-    found = [(point.name, point, *_source(point)) for point in _entry_points()]
-    claims = Counter(name for name, *_ in found)
-    plugins = []
-    for name, point, package, version in sorted(found, key=lambda item: (item[0], item[2])):
-        if claims[name] > 1:
-            packages = sorted(other for claimed, _, other, _ in found if claimed == name)
-            error = f"claimed by both {' and '.join(packages)}; uninstall one of them"
-            plugins.append(PluginInfo(name, package, version, None, error))
-            continue
-        try:
-            cls = point.load()
-            error = _mistake(cls)
-        except Exception as exception:  # a foreign module may raise anything
-            error = f"failed to import: {type(exception).__name__}: {exception}".partition("\n")[0]
-        plugins.append(PluginInfo(name, package, version, None if error else cls, error))
-    return plugins
-
-
-def _entry_points() -> list[EntryPoint]:
-    points = list(entry_points(group=GROUP))
-    try:
-        distribution(PROJECT)
-    except PackageNotFoundError:
-        # A source checkout on PYTHONPATH has no metadata; its pyproject.toml says what it would
-        # register.
-        points += _checkout_entry_points(Path(__file__).parents[2] / "pyproject.toml")
-    return points
-
-
-def _checkout_entry_points(pyproject: Path) -> list[EntryPoint]:
-    if not pyproject.is_file():
-        return []
-    project = tomllib.loads(pyproject.read_text(encoding="utf-8")).get("project", {})
-    if project.get("name") != PROJECT:
-        return []
-    declared = project.get("entry-points", {}).get(GROUP, {})
-    return [EntryPoint(name, value, GROUP) for name, value in declared.items()]
-
-
-def _source(point: EntryPoint) -> tuple[str, str]:
-    if point.dist is None:
-        return PROJECT, __version__
-    return point.dist.name, point.dist.version
-
-
-def _implemented(cls: type[Regularizer]) -> tuple[str, ...]:
-    return tuple(hook for hook in HOOKS if hasattr(getattr(cls, hook, None), f"{PROJECT}_impl"))
-
-
-def _mistake(cls: object) -> str:
-    """What keeps the object behind an entry point from being a plugin, or nothing."""
-    if not (isinstance(cls, type) and issubclass(cls, Regularizer)):
-        return f"{cls!r} does not derive from nerfreg.Regularizer"
-    if "__dataclass_params__" not in vars(cls):
-        return f"class {cls.__name__} is not decorated with @dataclass"
-    for name in dir(cls):
-        is_hook = hasattr(getattr(cls, name, None), f"{PROJECT}_impl")
-        if (is_hook or name.startswith("nerfreg_")) and name not in HOOKS:
-            return f"{cls.__name__}.{name} is not a hook; {nearest(name, HOOKS)}"
-        if name in HOOKS and not is_hook:
-            return f"{cls.__name__}.{name} is not decorated with @hookimpl"
-    return ""
 
 
 @dataclass(frozen=True)
@@ -199,7 +87,7 @@ class Hooks:
             _check(name, plugin, self.plugins)
         used = {name: plugin for name, plugin in self.plugins.items() if plugin.weight != 0}
         self._users = {
-            hook: tuple(name for name, plugin in used.items() if hook in _implemented(type(plugin)))
+            hook: tuple(name for name, plugin in used.items() if hook in implemented(type(plugin)))
             for hook in HOOKS
         }
         self._core = CoreDefaults()

@@ -1,0 +1,58 @@
+"""Cells of a box, and which of them are occupied."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+
+@dataclass(frozen=True)
+class OccupancyGrid:
+    """Cubic cells, some of which are occupied.
+
+    Attributes:
+        occupied: (X, Y, Z) which cells are occupied.
+        low: (3,) lowest corner of the grid, in world units.
+        cell: Length of a cell, in world units.
+    """
+
+    occupied: Bool[Tensor, "x y z"]
+    low: Float[Tensor, " 3"]
+    cell: float
+
+    @classmethod
+    def over(
+        cls, center: Tensor, half_side: float, occupied: Bool[Tensor, "n n n"]
+    ) -> OccupancyGrid:
+        """Lay n^3 cells over a cube.
+
+        Args:
+            center: (3,) centre of the cube, such as `SceneInfo.center`.
+            half_side: Half its side, in world units, such as `SceneInfo.half_box`.
+            occupied: (n, n, n) which cells are occupied, by x, y and z.
+        """
+        return cls(occupied, center - half_side, 2 * half_side / len(occupied))
+
+    @property
+    def centers(self) -> Float[Tensor, "x y z 3"]:
+        """(X, Y, Z, 3) the centres of all cells, in world units."""
+        axes = [torch.arange(n, device=self.low.device) for n in self.occupied.shape]
+        cells = torch.stack(torch.meshgrid(*axes, indexing="ij"), dim=-1)
+        return self.low + (cells + 0.5) * self.cell
+
+    def contains(self, positions: Float[Tensor, "points 3"]) -> Bool[Tensor, " points"]:
+        """Return whether each position lies in an occupied cell.
+
+        Args:
+            positions: (P, 3) in world units; outside the grid the nearest cell counts.
+
+        Returns:
+            (P,) whether the cell is occupied.
+        """
+        x, y, z = ((positions - self.low) / self.cell).long().unbind(-1)
+        nx, ny, nz = self.occupied.shape
+        index = (x.clamp_(0, nx - 1) * ny + y.clamp_(0, ny - 1)) * nz + z.clamp_(0, nz - 1)
+        return self.occupied.view(-1)[index]
