@@ -31,6 +31,13 @@ class NonFiniteError(NerfregError):
     exit_code = 3
 
 
+class PluginError(NerfregError):
+    """A plugin raised something in one of its hooks or modules, or returned what it must not."""
+
+    # A code of its own, by which a script can tell a fault of a plugin from a mistake in the input.
+    exit_code = 4
+
+
 def require_range(group: str, config: object, **limits: tuple[float | int, float | int]) -> None:
     """Refuse values of a configuration that are out of range; None passes.
 

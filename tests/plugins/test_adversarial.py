@@ -44,7 +44,12 @@ def scene(plugin: Adversarial, see) -> tuple[Hooks, Step]:
         samples = Samples(positions, rays.directions, rendering.t)
         return replace(rendering, rgb=see(hooks.encoder_input(samples, step)))
 
-    renderer = SimpleNamespace(render=lambda rays, step, like: rerender(like), frozen=nullcontext)
+    renderer = SimpleNamespace(
+        render=lambda rays, step, like, **options: rerender(like),
+        frozen=nullcontext,
+        cast=lambda rays, step: rays,
+        view=lambda step: None,
+    )
     step = Step(0, 1000, 0.0, torch.Generator(), (2.0, 2.0 + LENGTH), renderer)
     return hooks, step
 

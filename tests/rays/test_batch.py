@@ -18,6 +18,8 @@ def echo() -> SimpleNamespace:
     return SimpleNamespace(
         render=lambda rays, step, like=None: torch.rand(1, generator=step.generator).item(),
         frozen=nullcontext,
+        cast=lambda rays, step: rays,
+        view=lambda step: None,
     )
 
 

@@ -30,7 +30,11 @@ class Ball(RadianceField):
         return raw
 
     def color(
-        self, raw: torch.Tensor, harmonics: torch.Tensor, active: float | None = None
+        self,
+        raw: torch.Tensor,
+        encoded: torch.Tensor,
+        active: float | None = None,
+        more: torch.Tensor | None = None,
     ) -> torch.Tensor:
         return torch.tensor([1.0, 0.0, 0.0]).expand(len(raw), 3)
 

@@ -13,12 +13,9 @@ from nerfreg.analysis.statistics import spread
 from nerfreg.analysis.tables import publish_record
 from nerfreg.bench import BenchOutcome
 from nerfreg.bench.timing import seconds_of
-from nerfreg.field import RadianceField
+from nerfreg.evaluation.trained import TrainedField
 from nerfreg.field.workers import threads
-from nerfreg.rendering.config import SamplerConfig
-from nerfreg.rendering.views import ViewRenderer
 from nerfreg.runs.load import load_run
-from nerfreg.scenes import Scene
 from nerfreg.training.memory import peak_memory_mb
 
 
@@ -35,12 +32,13 @@ QUICK = RenderSizes(views=1)
 
 def run(folder: Path, sizes: RenderSizes, words: tuple[str, ...]) -> BenchOutcome:
     """Time test views of the run that the word names, and publish the record."""
-    config, scene, field, _ = load_run(Path(words[0]))
+    loaded = load_run(Path(words[0]))
+    scene = loaded.scene
     record = {
         "run": words[0],
         "scene": scene.name,
-        "reg": list(config.reg),
-        **measure(field, config.sampler, scene, sizes.views),
+        "reg": list(loaded.config.reg),
+        **measure(loaded.trained, sizes.views),
         "threads": threads(),
         "peak_memory_mb": round(peak_memory_mb()),
     }
@@ -48,11 +46,10 @@ def run(folder: Path, sizes: RenderSizes, words: tuple[str, ...]) -> BenchOutcom
     return BenchOutcome([folder / "render.json"], record)
 
 
-def measure(
-    field: RadianceField, sampler: SamplerConfig, scene: Scene, views: int
-) -> dict[str, Any]:
+def measure(trained: TrainedField, views: int) -> dict[str, Any]:
     """Return times and evaluations of test views after the first, which compiles what they run."""
-    make, cameras = partial(ViewRenderer, field, sampler, scene), scene.cameras
+    make, scene = trained.renderer, trained.scene
+    cameras = scene.cameras
     first = seconds_of(lambda: make().view(cameras, scene.test[0]))
     occupancy = seconds_of(make)
     renderer, chosen = make(), after_the_first(scene.test, views)

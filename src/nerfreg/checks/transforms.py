@@ -88,6 +88,7 @@ def wrong_masks(samples: Samples, backend: str) -> list[str]:
     if grid_alive is None and color_alive is None:
         return []
     field = _small_field(backend)
+    assert field.grid is not None
     table, layout = field.grid.table, field.grid.layout
     points = torch.rand(POINTS, 3, generator=torch.Generator().manual_seed(0))
     harmonics = spherical_harmonics(functional.normalize(points - 0.4, dim=1))

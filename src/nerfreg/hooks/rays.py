@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from typing import Any
 
 import torch
 from jaxtyping import Bool, Float, Int
@@ -122,12 +123,28 @@ class Rays:
             return self.near.new_zeros(len(self), dtype=torch.bool)
         return self.view >= 0
 
+    def to(self, device: torch.device) -> Rays:
+        """Return the same rays on a device."""
+        moved: dict[str, Any] = {
+            name: value.to(device)
+            for name, value in vars(self).items()
+            if isinstance(value, Tensor)
+        }
+        data = {name: values.to(device) for name, values in self.data.items()}
+        return replace(self, **moved, data=data)
+
     def picked(self, index: Int[Tensor, " picked"]) -> Rays:
         """Return some of the rays, without targets and without what refers to rays by number.
 
         Args:
             index: (P,) numbers of rays.
         """
-        rows = ("origins", "directions", "near", "far", "background", "view", "pixel")
-        parts = {name: getattr(self, name) for name in rows}
-        return Rays(**{name: x if x is None else x[index] for name, x in parts.items()})
+        return Rays(
+            self.origins[index],
+            self.directions[index],
+            self.near[index],
+            self.far[index],
+            background=None if self.background is None else self.background[index],
+            view=None if self.view is None else self.view[index],
+            pixel=None if self.pixel is None else self.pixel[index],
+        )

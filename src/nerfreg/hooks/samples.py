@@ -61,7 +61,7 @@ class DensitySamples:
     def raw(self) -> Float[Tensor, "rays samples"]:
         """(R, N) raw density, before its activation (see `FieldView.activate`).
 
-        It is -inf where a plugin declared space empty.
+        It is 0, and means nothing, where a plugin declared space empty.
         """
         return self.read_raw()
 

@@ -74,7 +74,7 @@ class Schedule:
             return self.last
         s = (fraction - self.start) / (self.end - self.start)
         if self.kind == "exponential":
-            return self.first ** (1 - s) * self.last**s
+            return math.exp((1 - s) * math.log(self.first) + s * math.log(self.last))
         if self.kind == "cosine":
             s = (1 - math.cos(math.pi * s)) / 2
         return self.first + (self.last - self.first) * s

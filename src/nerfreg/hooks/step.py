@@ -104,6 +104,9 @@ class RayRenderer(Protocol):
             density_only: Whether to leave out colours; `rgb` is NaN then.
         """
 
+    def cast(self, rays: Rays, step: Step) -> Rays:
+        """Return the rays of a step as plugins change them (`nerfreg_rays`)."""
+
     def frozen(self) -> AbstractContextManager[None]:
         """Within this context, renderings have no gradient with respect to the field's weights."""
 
@@ -161,7 +164,8 @@ class Step:
     def render(self, rays: Rays, frozen: bool = False) -> Rendering:
         """Render any rays, such as those of a warped patch, with samples of their own.
 
-        The rays are taken as they are: `nerfreg_rays` is not called for them.
+        The rays are taken as they are: `nerfreg_rays` is not called for them, and near and far are
+        those that they have (`SceneInfo.clipped` finds those of the box).
 
         Args:
             rays: The rays.

@@ -15,12 +15,12 @@ from nerfreg.config.schema import Config
 from nerfreg.errors import NerfregError, NonFiniteError
 from nerfreg.evaluation.lpips import load_lpips
 from nerfreg.evaluation.scores import Scores, score_views
+from nerfreg.evaluation.trained import evaluated
 from nerfreg.field.fit import fitted
 from nerfreg.hooks import Regularizer
 from nerfreg.prune.ledger import Measurement
 from nerfreg.prune.plan import Trial
 from nerfreg.registry import Hooks
-from nerfreg.rendering.views import ViewRenderer
 from nerfreg.runs.load import prepare
 from nerfreg.scenes import Scene, load_scene
 from nerfreg.training.memory import keep_large_blocks
@@ -92,9 +92,8 @@ class Trials:
 
     def _score(self, trainer: Trainer) -> Scores:
         scene, stride = trainer.scene, self._stride
-        with trainer.average.applied():
-            views = ViewRenderer(trainer.field, self._config.sampler, scene)
-            render = partial(views.view, scene.cameras, stride=stride)
+        with evaluated(trainer) as trained:
+            render = partial(trained.renderer().view, scene.cameras, stride=stride)
             return score_views(scene, scene.test, render, self._lpips, stride)
 
 

@@ -44,7 +44,8 @@ class Batch:
         """
         if self.step.renderer is None:
             raise NoRendererError("this batch has no renderer: call `again` with one")
-        return self.step.renderer.render(self.rays, self.step)
+        renderer, step = self.step.renderer, self.step
+        return renderer.render(renderer.cast(self.rays, step), step)
 
     def again(self, renderer: RayRenderer) -> Batch:
         """Return the same batch for another renderer.

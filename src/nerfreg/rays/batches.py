@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
+from typing import NamedTuple
 
 import torch
 from jaxtyping import Float, Int
@@ -10,10 +12,30 @@ from torch import Tensor
 
 from nerfreg.errors import NerfregError
 from nerfreg.hooks import Needs, Rays
-from nerfreg.rays.clipping import clip_to_box
 from nerfreg.rays.patches import adjacent_pixels, patch_neighbors, patch_pixels
 from nerfreg.rays.unseen import poses_between
+from nerfreg.scenes.clipping import clip_to_box
 from nerfreg.scenes.scene import Scene
+
+ChoosePoses = Callable[[int], tuple[Float[Tensor, "cameras 3 4"], Int[Tensor, " cameras"]] | None]
+"""Returns as many camera poses as are asked for, and the training views (numbered from 0) whose
+intrinsics they have; None leaves the choice to the core."""
+
+
+class _Part(NamedTuple):
+    """Rays of one kind.
+
+    Attributes:
+        origins: Origins, `(R, 3)`.
+        directions: Unit directions, `(R, 3)`.
+        view: The training view of each ray, `(R,)`, -1 for unseen ones.
+        point: The point of its image, `(R, 2)`, NaN for unseen ones.
+    """
+
+    origins: Float[Tensor, "rays 3"]
+    directions: Float[Tensor, "rays 3"]
+    view: Int[Tensor, " rays"]
+    point: Float[Tensor, "rays 2"]
 
 
 class RayBatches:
@@ -32,6 +54,7 @@ class RayBatches:
         photographs: The training images and their cameras.
         known_depth: Distances between which a plugin knows that there is something, for each
             training pixel, `(V, H, W, 2)`; None if no plugin knows any.
+        data: What plugins prepared for each training pixel, `(V, H, W, ...)` by name.
         pixels: (image, x, y) of the pixels to draw from, `(useful, 3)`.
     """
 
@@ -46,9 +69,10 @@ class RayBatches:
         self.views = torch.tensor(scene.train)
         self.photographs = scene.photographs()
         self.known_depth: Float[Tensor, "views height width 2"] | None = None
+        self.data: dict[str, Tensor] = {}
         self.pixels = self._useful_pixels()
 
-    def draw(self, needs: Needs) -> Rays:
+    def draw(self, needs: Needs, choose: ChoosePoses | None = None) -> Rays:
         """Draw the rays of one step: pixels, then patches, extra neighbours and unseen views.
 
         Patches and unseen rays take the place of random pixels, so that a step costs no more; only
@@ -56,6 +80,7 @@ class RayBatches:
 
         Args:
             needs: What the active plugins need.
+            choose: Chooses the poses of unseen rays; None: they lie between two training views.
 
         Returns:
             The rays, on the device.
@@ -91,7 +116,7 @@ class RayBatches:
             groups.append(singles + torch.arange(patches).repeat_interleave(side**2))
             if needs.neighbors != "none":
                 neighbors.append(singles + patch_neighbors(patches, side, self.generator))
-        parts = [self.scene.cameras.rays(self.views[image], pixel)]
+        parts = [_Part(*self.scene.cameras.rays(self.views[image], pixel), image, pixel + 0.5)]
         # Only single pixels get an extra neighbour: those in patches have theirs already. These
         # rays come behind all that have a photograph, so that targets belong to the first rays.
         if needs.neighbors == "extra":
@@ -100,43 +125,53 @@ class RayBatches:
             neighbors.append(
                 torch.stack([torch.arange(singles), supervised + torch.arange(singles)], dim=1)
             )
-        unseen = None
+        unseen = unseen_views = None
         if unseen_count:
-            unseen = sum(len(part[0]) for part in parts) + torch.arange(unseen_count)
-            parts.append(self._unseen_rays(unseen_patches, side))
-            parts.append(self._unseen_rays(unseen_count - unseen_patches * side**2, 1))
+            unseen = sum(len(part.view) for part in parts) + torch.arange(unseen_count)
+            cameras = unseen_patches, unseen_count - unseen_patches * side**2
+            found = [
+                self._unseen_rays(count, width, choose)
+                for count, width in zip(cameras, (side, 1), strict=True)
+            ]
+            parts += [part for part, _ in found]
+            unseen_views = torch.cat([views for _, views in found])
             # Nothing compares unseen rays sample by sample, so each samples for itself.
             groups.append(singles + patches + torch.arange(unseen_count))
-        origins, directions = (torch.cat(columns) for columns in zip(*parts, strict=True))
+        origins, directions, view, points = map(torch.cat, zip(*parts, strict=True))
         near, far = clip_to_box(
             origins, directions, self.scene.box, self.scene.near, self.scene.far
         )
         targets, background = self._targets(image, pixel, len(origins))
-        return self._to_device(
-            Rays(
-                origins=origins,
-                directions=directions,
-                near=near,
-                far=far,
-                targets=targets,
-                target_weights=_patches_as_pixels(singles, patches, side) if patches else None,
-                background=background,
-                patches=singles + torch.arange(patches * side**2).view(patches, side, side)
-                if patches
-                else None,
-                neighbors=torch.cat(neighbors) if neighbors else None,
-                unseen=unseen,
-                unseen_patches=None
-                if unseen is None or not unseen_patches
-                else _squares(unseen, unseen_patches, side),
-                # Patches without neighbours are compared by depth alone, for which every ray may
-                # have its own t.
-                groups=torch.cat(groups) if neighbors else None,
-                known_depth=self.known_depth[image, pixel[:, 1], pixel[:, 0]]
-                if self.known_depth is not None
-                else None,
-            )
+        rays = Rays(
+            origins=origins,
+            directions=directions,
+            near=near,
+            far=far,
+            targets=targets,
+            target_weights=_patches_as_pixels(singles, patches, side) if patches else None,
+            background=background,
+            patches=singles + torch.arange(patches * side**2).view(patches, side, side)
+            if patches
+            else None,
+            neighbors=torch.cat(neighbors) if neighbors else None,
+            unseen=unseen,
+            unseen_patches=None
+            if unseen is None or not unseen_patches
+            else _squares(unseen, unseen_patches, side),
+            # Patches without neighbours are compared by depth alone, for which every ray may
+            # have its own t.
+            groups=torch.cat(groups) if neighbors else None,
+            known_depth=self.known_depth[image, pixel[:, 1], pixel[:, 0]]
+            if self.known_depth is not None
+            else None,
+            view=view,
+            pixel=points,
+            unseen_views=unseen_views,
+            data={
+                name: values[image, pixel[:, 1], pixel[:, 0]] for name, values in self.data.items()
+            },
         )
+        return rays if self.device.type == "cpu" else rays.to(self.device)
 
     def _patch_count(self, supervised: int, side: int, fraction: float) -> int:
         """Number of patches that make up this share of the rays: at least one."""
@@ -160,7 +195,10 @@ class RayBatches:
             near, far = clip_to_box(
                 origins, directions, self.scene.box, self.scene.near, self.scene.far
             )
-            hit = pixel[far > near]
+            hit = far > near
+            if self.photographs.valid is not None:
+                hit &= self.photographs.valid[image].flatten()
+            hit = pixel[hit]
             useful.append(torch.cat([torch.full((len(hit), 1), image), hit], dim=1))
         pixels = torch.cat(useful)
         if len(pixels) == 0:
@@ -201,19 +239,36 @@ class RayBatches:
         background = torch.rand(rays, 3, generator=self.generator)
         return torch.lerp(background[: len(colors)], colors[:, :3], colors[:, 3:]), background
 
-    def _neighbor_rays(
-        self, image: Tensor, pixel: Tensor
-    ) -> tuple[Float[Tensor, "rays 3"], Float[Tensor, "rays 3"]]:
+    def _neighbor_rays(self, image: Tensor, pixel: Tensor) -> _Part:
         """Rays through one of the four neighbours of each pixel."""
         cameras = self.scene.cameras
-        return cameras.rays(
-            self.views[image], adjacent_pixels(pixel, cameras.width, cameras.height, self.generator)
-        )
+        beside = adjacent_pixels(pixel, cameras.width, cameras.height, self.generator)
+        return _Part(*cameras.rays(self.views[image], beside), image, beside + 0.5)
 
     def _unseen_rays(
-        self, count: int, side: int
-    ) -> tuple[Float[Tensor, "rays 3"], Float[Tensor, "rays 3"]]:
-        """Rays through random patches, each of its own camera between two training cameras."""
+        self, count: int, side: int, choose: ChoosePoses | None
+    ) -> tuple[_Part, Int[Tensor, " rays"]]:
+        """Rays through random patches of cameras of their own, and whose intrinsics these have."""
+        cameras, cpu = self.scene.cameras, self.generator
+        chosen = choose(count) if choose is not None and count else None
+        poses, base = self._between(count) if chosen is None else chosen
+        size = torch.tensor([cameras.width, cameras.height])
+        corners = (torch.rand(count, 2, generator=cpu) * (size - side + 1)).long()
+        view = self.views[base]
+        apart = dataclasses.replace(
+            cameras,
+            poses=poses,
+            focal=cameras.focal[view],
+            center=cameras.center[view],
+            distortion=cameras.distortion[view],
+        )
+        camera = torch.arange(count).repeat_interleave(side**2)
+        rays = apart.rays(camera, patch_pixels(corners, side).view(-1, 2))
+        nowhere = torch.full((len(camera), 2), torch.nan)
+        return _Part(*rays, torch.full_like(camera, -1), nowhere), base[camera]
+
+    def _between(self, count: int) -> tuple[Float[Tensor, "cameras 3 4"], Int[Tensor, " cameras"]]:
+        """Poses between two training views, and the first one of each pair."""
         cameras, cpu = self.scene.cameras, self.generator
         views = len(self.views)
         chosen = torch.randint(views, (count,), generator=cpu)
@@ -223,30 +278,7 @@ class RayBatches:
         first, second = cameras.poses[self.views[chosen]], cameras.poses[self.views[other]]
         # The box is the cube around the point that the cameras of an orbit look at.
         center = self.scene.box.mean(dim=0) if self.scene.layout == "orbit" else None
-        poses = poses_between(first, second, torch.rand(count, generator=cpu), center)
-        size = torch.tensor([cameras.width, cameras.height])
-        corners = (torch.rand(count, 2, generator=cpu) * (size - side + 1)).long()
-        view = self.views[chosen]
-        between = dataclasses.replace(
-            cameras,
-            poses=poses,
-            focal=cameras.focal[view],
-            center=cameras.center[view],
-            distortion=cameras.distortion[view],
-        )
-        return between.rays(
-            torch.arange(count).repeat_interleave(side**2), patch_pixels(corners, side).view(-1, 2)
-        )
-
-    def _to_device(self, rays: Rays) -> Rays:
-        if self.device.type == "cpu":
-            return rays
-        moved = {
-            name: value.to(self.device)
-            for name, value in vars(rays).items()
-            if isinstance(value, Tensor)
-        }
-        return dataclasses.replace(rays, **moved)
+        return poses_between(first, second, torch.rand(count, generator=cpu), center), chosen
 
 
 def _squares(

@@ -3,19 +3,27 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Mapping
+from copy import deepcopy
+from dataclasses import dataclass, fields
 from functools import cache
+from types import FrameType
 from typing import Any
 
 import mpmath
 import pluggy
-from jaxtyping import Float
+import torch
+from jaxtyping import Bool, Float, Int
 from torch import Tensor, nn
 
-from nerfreg.errors import NerfregError
+from nerfreg.errors import NerfregError, PluginError
 from nerfreg.field.layers import Linear
 from nerfreg.hooks import (
+    ALWAYS_IN_EVALUATION,
     PROJECT,
+    ColorSamples,
+    DensitySamples,
+    EvaluatedView,
     HookSpecs,
     Needs,
     Rays,
@@ -23,10 +31,11 @@ from nerfreg.hooks import (
     Rendering,
     Samples,
     Step,
+    TrainedModule,
     hookimpl,
 )
-from nerfreg.registry.plugins import HOOKS, implemented
-from nerfreg.scenes.scene import Photographs
+from nerfreg.registry.plugins import HOOKS, implemented, origin
+from nerfreg.scenes.scene import Photographs, SceneInfo
 
 REFERENCE_DIGITS = 150
 
@@ -62,9 +71,24 @@ class CoreDefaults:
         return rays.near, rays.far
 
     @hookimpl(trylast=True)
+    def nerfreg_rays(self, rays: Rays) -> Rays:
+        """Return the rays as they are."""
+        return rays
+
+    @hookimpl(trylast=True)
     def nerfreg_encoder_input(self, samples: Samples) -> Samples:
         """Return the samples as they are."""
         return samples
+
+    @hookimpl(trylast=True)
+    def nerfreg_density(self, samples: DensitySamples) -> Tensor:
+        """Return the densities as they are."""
+        return samples.density
+
+    @hookimpl(trylast=True)
+    def nerfreg_rendering(self, rendering: Rendering) -> Rendering:
+        """Return the rendering as it is."""
+        return rendering
 
 
 class Hooks:
@@ -85,7 +109,12 @@ class Hooks:
         self.plugins = dict(plugins or {})
         for name, plugin in self.plugins.items():
             _check(name, plugin, self.plugins)
-        used = {name: plugin for name, plugin in self.plugins.items() if plugin.weight != 0}
+        used = {
+            name: plugin
+            for name, plugin in self.plugins.items()
+            if plugin.weight != 0 or "weight" in plugin.schedules
+        }
+        self._scheduled = [plugin for plugin in used.values() if plugin.schedules]
         self._users = {
             hook: tuple(name for name, plugin in used.items() if hook in implemented(type(plugin)))
             for hook in HOOKS
@@ -97,13 +126,31 @@ class Hooks:
         # Made once here, so that a plugin that pluggy refuses is refused before the run begins.
         self._manager(tuple(used))
 
-    def needs(self, step: Step) -> Needs:
-        """Return the union of what the active plugins want rendered."""
-        union = Needs()
-        for name in self._active("nerfreg_needs", step):
-            for needs in self._ask("nerfreg_needs", (name,), {"step": step}):
-                union |= needs
-        return union
+    def begin(self, step: Step) -> None:
+        """Set all fields that have a schedule to their values in this step."""
+        for plugin in self._scheduled:
+            plugin.follow_schedules(step)
+
+    def encoder(self, which: str, scene: SceneInfo) -> nn.Module | None:
+        """Return the encoder of a selected plugin, of "positions" or "directions", or None.
+
+        Raises:
+            PluginError: The encoder does not tell its width.
+        """
+        users = self._users["nerfreg_encoder"]
+        if not users:
+            return None
+        given = {"which": which, "scene_info": scene}
+        encoder: nn.Module | None = self._ask("nerfreg_encoder", users, given)
+        if encoder is not None and not isinstance(getattr(encoder, "width", None), int):
+            raise self._error(
+                "nerfreg_encoder",
+                users,
+                None,
+                f"the encoder of {which} has no attribute 'width'; set it to the number of its "
+                "features, an integer",
+            )
+        return encoder
 
     def layer(
         self, network: str, index: int, in_features: int, out_features: int, activation: str
@@ -126,44 +173,152 @@ class Hooks:
         return layer
 
     @property
-    def depth_tellers(self) -> tuple[str, ...]:
-        """Names of the plugins that `known_depth` asks, which may take a while to answer."""
-        return self._users["nerfreg_known_depth"]
+    def color_inputs(self) -> int:
+        """How many inputs of the colour network come from plugins."""
+        return sum(self.plugins[name].color_inputs for name in self._users["nerfreg_color_input"])
+
+    def modules(self, scene: SceneInfo) -> dict[str, TrainedModule]:
+        """Return the modules of the selected plugins, by the names of the plugins.
+
+        Raises:
+            PluginError: A plugin returned something else.
+        """
+        made = {}
+        for name in self._users["nerfreg_module"]:
+            for part in self._ask("nerfreg_module", (name,), {"scene_info": scene}):
+                module = part.module if isinstance(part, TrainedModule) else part
+                if not isinstance(module, nn.Module):
+                    kind = f"returned {type(module).__name__}; return a torch module"
+                    raise self._error("nerfreg_module", (name,), None, kind)
+                made[name] = part if isinstance(part, TrainedModule) else TrainedModule(part)
+        return made
+
+    @property
+    def preparing(self) -> tuple[str, ...]:
+        """Names of the plugins that look at the photographs first, which may take a while."""
+        hooks = ("nerfreg_prepare", "nerfreg_known_depth")
+        return tuple(dict.fromkeys(name for hook in hooks for name in self._users[hook]))
+
+    def prepare(self, photographs: Photographs) -> dict[str, Float[Tensor, "v h w *values"]]:
+        """Return what the selected plugins know of each training pixel, by "plugin.name".
+
+        Args:
+            photographs: The training views.
+
+        Raises:
+            PluginError: An answer has no value for each pixel.
+        """
+        data = {}
+        size = tuple(photographs.images.shape[:3])
+        for plugin in self._users["nerfreg_prepare"]:
+            for answer in self._ask("nerfreg_prepare", (plugin,), {"photographs": photographs}):
+                for name, values in answer.items():
+                    if not isinstance(values, Tensor) or tuple(values.shape[:3]) != size:
+                        found = (
+                            f"shape {tuple(values.shape)}"
+                            if isinstance(values, Tensor)
+                            else type(values).__name__
+                        )
+                        raise self._error(
+                            "nerfreg_prepare",
+                            (plugin,),
+                            None,
+                            f"'{name}' is {found}; return a tensor of {size} and more axes",
+                        )
+                    data[f"{plugin}.{name}"] = values
+        return data
 
     def known_depth(self, photographs: Photographs) -> Float[Tensor, "views height width 2"] | None:
-        """Return what a selected plugin knows of depth before training, whatever its window.
+        """Return what the selected plugins know of depth before training, whatever their windows.
 
         Args:
             photographs: The training views.
 
         Returns:
             An interval of distance for each pixel, NaN where nothing is known; None if no plugin
-            answers.
+            answers. Of several plugins, it is the intersection of their intervals, or the narrower
+            interval where these have nothing in common.
 
         Raises:
-            NerfregError: Two plugins answer, or an answer is not an interval for each pixel.
+            PluginError: An answer is not an interval for each pixel.
         """
-        known: dict[str, Tensor] = {}
-        for name in self.depth_tellers:
+        known: Tensor | None = None
+        for name in self._users["nerfreg_known_depth"]:
             for depth in self._ask("nerfreg_known_depth", (name,), {"photographs": photographs}):
-                known[name] = depth
-        if len(known) > 1:
-            both = " and ".join(known)
-            raise NerfregError(
-                f"plugins {both} both tell the depth of the photographs; drop one of them"
-            )
-        for name, depth in known.items():
-            shape = (*photographs.images.shape[:3], 2)
-            if tuple(depth.shape) != shape:
-                found = tuple(depth.shape)
-                raise NerfregError(
-                    f"plugin {name}, nerfreg_known_depth: has shape {found}, not {shape}"
-                )
-            if bool((depth[..., 0] > depth[..., 1]).any()):
-                raise NerfregError(
-                    f"plugin {name}, nerfreg_known_depth: some intervals end before they begin"
-                )
-        return next(iter(known.values()), None)
+                shape = (*photographs.images.shape[:3], 2)
+                wrong = ""
+                if tuple(depth.shape) != shape:
+                    wrong = f"has shape {tuple(depth.shape)}, not {shape}"
+                elif bool((depth[..., 0] > depth[..., 1]).any()):
+                    wrong = "some intervals end before they begin"
+                if wrong:
+                    raise self._error("nerfreg_known_depth", (name,), None, wrong)
+                known = depth if known is None else _agreed(known, depth)
+        return known
+
+    def start(self, step: Step) -> None:
+        """Tell the selected plugins that the first step is about to be made."""
+        self._tell("nerfreg_start", self._users["nerfreg_start"], step)
+
+    def step_end(self, step: Step) -> None:
+        """Tell the active plugins that a step has been made."""
+        self._tell("nerfreg_step_end", self._active("nerfreg_step_end", step), step)
+
+    def end(self, step: Step) -> None:
+        """Tell the selected plugins that the last step has been made."""
+        self._tell("nerfreg_end", self._users["nerfreg_end"], step)
+
+    def needs(self, step: Step) -> Needs:
+        """Return the union of what the active plugins want rendered."""
+        union = Needs()
+        for name in self._active("nerfreg_needs", step):
+            for needs in self._ask("nerfreg_needs", (name,), {"step": step}):
+                union |= needs
+        return union
+
+    def unseen_poses(
+        self, step: Step, scene: SceneInfo, count: int
+    ) -> tuple[Float[Tensor, "count 3 4"], Int[Tensor, " count"]] | None:
+        """Return poses of unseen cameras, and the training views whose intrinsics they have.
+
+        Args:
+            step: Where the run stands.
+            scene: What is known of the scene.
+            count: How many poses are needed.
+
+        Returns:
+            None if no active plugin chooses them.
+
+        Raises:
+            PluginError: An answer is not as many poses as were asked for.
+        """
+        active = self._active("nerfreg_unseen_poses", step)
+        parts = []
+        for place, name in enumerate(active):
+            # Equal parts, of which the first ones take what is left over.
+            share = len(range(place, count, len(active)))
+            given = {"scene_info": scene, "count": share, "generator": step.generator}
+            for answer in self._ask("nerfreg_unseen_poses", (name,), given):
+                poses, views = answer if isinstance(answer, tuple) else (answer, None)
+                if tuple(poses.shape) != (share, 3, 4):
+                    wrong = f"returned poses of shape {tuple(poses.shape)}, not {(share, 3, 4)}"
+                    raise self._error("nerfreg_unseen_poses", (name,), step, wrong)
+                if views is None:
+                    cameras = len(scene.cameras)
+                    views = torch.randint(cameras, (share,), generator=step.generator)
+                parts.append((poses, views))
+        if not parts:
+            return None
+        poses, views = (torch.cat(column) for column in zip(*parts, strict=True))
+        return poses, views
+
+    def rays(self, rays: Rays, step: Step) -> Rays:
+        """Return the rays as the plugins change them."""
+        active = self._active("nerfreg_rays", step)
+        if not active:
+            return rays
+        changed: Rays = self._ask("nerfreg_rays", active, {"rays": rays, "step": step})
+        return changed
 
     def ray_bounds(self, rays: Rays, step: Step) -> tuple[Tensor, Tensor]:
         """Return near and far of each ray, (R,) each."""
@@ -182,25 +337,149 @@ class Hooks:
         changed: Samples = self._ask("nerfreg_encoder_input", active, given)
         return changed
 
+    def empty(
+        self, positions: Float[Tensor, "points 3"], step: Step
+    ) -> Bool[Tensor, " points"] | None:
+        """Return which positions are declared empty; None if no plugin declares any.
+
+        Raises:
+            PluginError: An answer does not have a truth value for each position.
+        """
+        empty: Tensor | None = None
+        for name in self._active("nerfreg_empty", step):
+            given = {"positions": positions, "step": step}
+            for answer in self._ask("nerfreg_empty", (name,), given):
+                if answer.dtype != torch.bool or answer.shape != positions.shape[:1]:
+                    found = f"{answer.dtype} {tuple(answer.shape)}"
+                    wrong = f"returned {found}; return booleans ({len(positions)},)"
+                    raise self._error("nerfreg_empty", (name,), step, wrong)
+                empty = answer if empty is None else empty | answer
+        return empty
+
+    def changes(self, hook: str, step: Step) -> bool:
+        """Return whether an active plugin implements a hook."""
+        return bool(self._users[hook]) and bool(self._active(hook, step))
+
+    def density(self, samples: DensitySamples, step: Step) -> Float[Tensor, "rays samples"]:
+        """Return the densities as the plugins change them."""
+        active = self._active("nerfreg_density", step)
+        if not active:
+            return samples.density
+        given = {"samples": samples, "step": step}
+        density: Tensor = self._ask("nerfreg_density", active, given)
+        return density
+
+    def color_input(
+        self, samples: ColorSamples, step: Step
+    ) -> Float[Tensor, "colored inputs"] | None:
+        """Return what the plugins add to the input of the colour network; None if they do not.
+
+        Raises:
+            PluginError: An answer does not have the width that its plugin declares.
+        """
+        parts = []
+        for name in self._users["nerfreg_color_input"]:
+            width = self.plugins[name].color_inputs
+            given = {"samples": samples, "step": step}
+            answers = self._ask("nerfreg_color_input", (name,), given)
+            found = [tuple(answer.shape) for answer in answers]
+            if found != [(len(samples.ray), width)]:
+                wrong = (
+                    f"returned shape {found[0] if found else None}, not {(len(samples.ray), width)}"
+                    "; the property color_inputs tells the width"
+                )
+                raise self._error("nerfreg_color_input", (name,), step, wrong)
+            parts += answers
+        return torch.cat(parts, dim=1) if parts else None
+
+    def rendering(self, rendering: Rendering, step: Step) -> Rendering:
+        """Return the rendering as the plugins change it."""
+        active = self._active("nerfreg_rendering", step)
+        if not active:
+            return rendering
+        given = {"rendering": rendering, "step": step}
+        changed: Rendering = self._ask("nerfreg_rendering", active, given)
+        return changed
+
     def losses(self, rendering: Rendering, step: Step) -> list[Term]:
         """Return all terms of the active plugins, unweighted, each with its plugin's weight.
 
         Raises:
-            NerfregError: A term is not a scalar.
+            PluginError: A term is not a scalar tensor, or there is no dictionary of terms.
         """
         terms = []
         for name in self._active("nerfreg_loss", step):
             # One plugin at a time, because the answer does not say whose it is.
             given = {"rendering": rendering, "step": step}
-            for values in self._ask("nerfreg_loss", (name,), given):
-                for term, value in values.items():
-                    if value.ndim != 0:
-                        shape = tuple(value.shape)
-                        raise NerfregError(
-                            f"plugin {name}: term '{term}' has shape {shape}, return scalars"
-                        )
-                    terms.append(Term(name, term, float(self.plugins[name].weight), value))
+            answers = self._ask("nerfreg_loss", (name,), given)
+            if not all(isinstance(values, dict) for values in answers) or not answers:
+                found = type(answers[0]).__name__ if answers else "None"
+                wrong = f"returned {found}; return a dictionary of terms, {{}} for none"
+                raise self._error("nerfreg_loss", (name,), step, wrong)
+            for term, value in answers[0].items():
+                if not isinstance(value, Tensor) or value.ndim != 0:
+                    found = (
+                        f"has shape {tuple(value.shape)}"
+                        if isinstance(value, Tensor)
+                        else f"is of type {type(value).__name__}"
+                    )
+                    wrong = f"term '{term}' {found}, return scalars, such as a mean over rays"
+                    raise self._error("nerfreg_loss", (name,), step, wrong)
+                terms.append(Term(name, term, float(self.plugins[name].weight), value))
         return terms
+
+    def metrics(self, view: EvaluatedView, step: Step) -> dict[str, float]:
+        """Return what the selected plugins measure of a view, by "plugin.metric"."""
+        found: dict[str, float] = {}
+        for name in self._users["nerfreg_metrics"]:
+            for values in self._ask("nerfreg_metrics", (name,), {"view": view, "step": step}):
+                found |= {f"{name}.{metric}": float(value) for metric, value in values.items()}
+        return found
+
+    def state_dict(self) -> dict[str, dict[str, Any]]:
+        """Return the state of all plugins that have any, by name."""
+        states = {name: plugin.state_dict() for name, plugin in self.plugins.items()}
+        return {name: state for name, state in states.items() if state}
+
+    def load_state_dict(self, states: Mapping[str, dict[str, Any]]) -> None:
+        """Restore the state of plugins."""
+        for name, state in states.items():
+            if name in self.plugins:
+                self.plugins[name].load_state_dict(state)
+
+    def fresh(self) -> Hooks:
+        """Return the hooks of another run with the same configuration."""
+        return Hooks({name: _anew(plugin) for name, plugin in self.plugins.items()})
+
+    def with_plugin(self, name: str, plugin: Regularizer) -> Hooks:
+        """Return hooks in which another plugin has the place of the one of that name."""
+        return Hooks({**self.plugins, name: plugin})
+
+    def blamed(self, error: Exception, step: Step | None) -> Exception:
+        """Return what to raise in place of an error that came up outside of a hook.
+
+        It is a `PluginError` if a layer or module of a plugin raised it, else the error itself.
+        """
+        if isinstance(error, NerfregError):
+            return error
+        for frame in _frames(error):
+            owner = frame.f_locals.get("self")
+            if isinstance(owner, nn.Module) and (name := self.owner(type(owner))):
+                what = f"{type(owner).__name__}.{frame.f_code.co_name}"
+                return self._error(what, (name,), step, _in_words(error))
+        return error
+
+    def owner(self, cls: type) -> str | None:
+        """Return the name of the plugin in whose module, or package, a class is defined."""
+        for depth in (None, 1):
+            for name, plugin in self.plugins.items():
+                place = type(plugin).__module__.split(".")[:depth]
+                own = cls.__module__.split(".")[:depth]
+                if place == own and own[0] not in ("nerfreg", "torch", "nerfreg_plugins"):
+                    return name
+                if depth is None and place == own:
+                    return name
+        return None
 
     def reference(
         self, name: str, given: nn.Module | Rays | Samples | Rendering, step: Step
@@ -226,11 +505,48 @@ class Hooks:
         Returns:
             What pluggy returns: a list of answers, or one where the hook has a single result.
         """
-        return getattr(self._manager(plugins).hook, hook)(**given)
+        try:
+            answer = getattr(self._manager(plugins).hook, hook)(**given)
+        except NerfregError:
+            raise
+        except Exception as error:  # a foreign plugin may raise anything
+            # Of several plugins it is the one whose code was running.
+            running = [
+                name
+                for frame in _frames(error)
+                for name in plugins
+                if frame.f_locals.get("self") is self.plugins[name]
+            ]
+            names = tuple(running[:1]) or plugins
+            raise self._error(hook, names, given.get("step"), _in_words(error)) from error
+        if answer is None and hook != "nerfreg_encoder":
+            raise self._error(
+                hook, plugins, given.get("step"), "returned None; return what it specifies"
+            )
+        return answer
+
+    def _tell(self, hook: str, plugins: tuple[str, ...], step: Step) -> None:
+        if plugins:
+            self._ask(hook, plugins, {"step": step})
+
+    def _error(
+        self, hook: str, plugins: tuple[str, ...], step: Step | None, wrong: str
+    ) -> PluginError:
+        who = ", ".join(f"{name} ({origin(type(self.plugins[name]))})" for name in plugins)
+        when = "" if step is None else f" at step {step.index}"
+        return PluginError(f"plugin{'s' if len(plugins) > 1 else ''} {who}, {hook}{when}: {wrong}")
 
     def _active(self, hook: str, step: Step) -> tuple[str, ...]:
         users = self._users[hook]
-        return tuple(name for name in users if self.plugins[name].active(step)) if users else ()
+        if not users:
+            return users
+        return tuple(
+            name
+            for name in users
+            if (plugin := self.plugins[name]).weight != 0
+            and plugin.active(step)
+            and (step.training or hook in ALWAYS_IN_EVALUATION or hook in plugin.in_evaluation)
+        )
 
     def _make_manager(self, names: tuple[str, ...]) -> pluggy.PluginManager:
         # pluggy's own way to call a subset wants hashable plugins, and dataclasses are not.
@@ -243,6 +559,40 @@ class Hooks:
             except (pluggy.PluginValidationError, ValueError) as error:
                 raise NerfregError(f"plugin {name}: {error}".replace("\n", " ")) from error
         return manager
+
+
+def _agreed(
+    a: Float[Tensor, "*pixels 2"], b: Float[Tensor, "*pixels 2"]
+) -> Float[Tensor, "*pixels 2"]:
+    """Intersect intervals; take the narrower one where there is no intersection, or one is NaN."""
+    # `fmax` and `fmin` ignore NaN.
+    both = torch.stack([torch.fmax(a[..., 0], b[..., 0]), torch.fmin(a[..., 1], b[..., 1])], dim=-1)
+    narrower = torch.where(a.diff(dim=-1) <= b.diff(dim=-1), a, b)
+    return torch.where(both[..., :1] <= both[..., 1:], both, narrower)
+
+
+def _anew(plugin: Regularizer) -> Regularizer:
+    """A plugin with the same configuration that has taken part in nothing yet."""
+    values = {part.name: getattr(plugin, part.name) for part in fields(plugin) if part.init}
+    fresh: Regularizer = type(plugin)(**deepcopy(values))
+    if plugin.schedules:
+        # On the instance, where the configuration puts it.
+        vars(fresh)["schedules"] = plugin.schedules
+    return fresh
+
+
+def _frames(error: BaseException) -> list[FrameType]:
+    """The frames that were running when an error was raised, the innermost first."""
+    frames, trace = [], error.__traceback__
+    while trace is not None:
+        frames.append(trace.tb_frame)
+        trace = trace.tb_next
+    return frames[::-1]
+
+
+def _in_words(error: Exception) -> str:
+    line = f"{type(error).__name__}: {error}".partition("\n")[0]
+    return f"{line} (--debug shows the traceback)"
 
 
 def _check(name: str, plugin: Regularizer, plugins: dict[str, Regularizer]) -> None:

@@ -118,3 +118,11 @@ def _mistake(cls: object) -> str:
         if name in HOOKS and not is_hook:
             return f"{cls.__name__}.{name} is not decorated with @hookimpl"
     return ""
+
+
+def origin(cls: type[Regularizer]) -> str:
+    """Return the package that a plugin's class comes from, with its version."""
+    for plugin in installed():
+        if plugin.cls is cls or (plugin.cls is not None and plugin.cls in cls.__bases__):
+            return f"{plugin.package} {plugin.version}"
+    return cls.__module__

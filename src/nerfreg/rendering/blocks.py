@@ -8,6 +8,8 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
+from nerfreg.hooks import Rays
+
 
 @dataclass(frozen=True)
 class RayBlocks:
@@ -18,23 +20,43 @@ class RayBlocks:
         directions: (B, P, 3) of unit length.
         near: (B, P) where the rays enter the scene.
         far: (B, P) where they leave it.
+        points: (B, P, 2) the points (x, y) of the image that they go through, in pixels.
+        view: Number of the training view that they belong to, -1 for all other views.
     """
 
     origins: Float[Tensor, "blocks pixels 3"]
     directions: Float[Tensor, "blocks pixels 3"]
     near: Float[Tensor, "blocks pixels"]
     far: Float[Tensor, "blocks pixels"]
+    points: Float[Tensor, "blocks pixels 2"]
+    view: int = -1
+
+    @property
+    def parts(self) -> tuple[Tensor, ...]:
+        """All tensors, in the order of the attributes."""
+        return self.origins, self.directions, self.near, self.far, self.points
 
     def picked(self, blocks: Int[Tensor, " picked"]) -> RayBlocks:
         """Return some of the blocks, by index."""
-        return RayBlocks(
-            self.origins[blocks], self.directions[blocks], self.near[blocks], self.far[blocks]
-        )
+        origins, directions, near, far, points = (part[blocks] for part in self.parts)
+        return RayBlocks(origins, directions, near, far, points, self.view)
 
     def to(self, device: torch.device) -> RayBlocks:
         """Return the same blocks on a device."""
-        return RayBlocks(
-            *(part.to(device) for part in (self.origins, self.directions, self.near, self.far))
+        origins, directions, near, far, points = (part.to(device) for part in self.parts)
+        return RayBlocks(origins, directions, near, far, points, self.view)
+
+    def flat(self, background: Float[Tensor, " 3"]) -> Rays:
+        """Return the rays of all blocks one after the other, in front of one background."""
+        origins, directions, near, far, points = (part.flatten(0, 1) for part in self.parts)
+        return Rays(
+            origins,
+            directions,
+            near,
+            far,
+            background=background.to(origins).expand(len(origins), 3),
+            view=torch.full((len(origins),), self.view, device=origins.device),
+            pixel=points,
         )
 
 

@@ -118,7 +118,7 @@ def assemble(
     t: Float[Tensor, "rays samples"],
     t_edges: Float[Tensor, "rays edges"],
     density: Float[Tensor, "rays samples"],
-    color: Callable[[Tensor, Tensor], Float[Tensor, "colored 3"]],
+    color: Callable[[Tensor, Tensor], Float[Tensor, "colored 3"]] | None,
     colored: Bool[Tensor, "rays samples"] | None = None,
 ) -> Rendering:
     """Make a Rendering of samples; colours are evaluated only where they can be seen.
@@ -131,22 +131,26 @@ def assemble(
         t_edges: (R, N+1) ascending borders of the intervals around them.
         density: (R, N) per world unit.
         color: Called with the ray and the sample index of each coloured sample, (K,) each; returns
-            their colours (K, 3).
+            their colours (K, 3). None: no sample gets a colour, and that of the rays is NaN.
         colored: (R, N) which samples get a colour; None: those of a weight above `MIN_WEIGHT`.
 
     Returns:
         The rendering, with its colours on the background of the rays.
     """
     result = integrate(density, t_edges)
-    if colored is None:
-        colored = result.weights.detach() > MIN_WEIGHT
-    ray, sample = colored.nonzero(as_tuple=True)
-    colors = color(ray, sample)
-    weights = result.weights[ray, sample]
-    # Added to the rays by index, so that no (R, N, 3) tensor with mostly zeros is needed.
-    rgb = colors.new_zeros(len(rays), 3).index_add(0, ray, weights[:, None] * colors)
-    if rays.background is not None:
-        rgb = rgb + transmittance(result.tau)[:, None] * single(rays.background)
+    if color is None:
+        colored = torch.zeros_like(density, dtype=torch.bool)
+        rgb = density.new_full((len(rays), 3), torch.nan)
+    else:
+        if colored is None:
+            colored = result.weights.detach() > MIN_WEIGHT
+        ray, sample = colored.nonzero(as_tuple=True)
+        colors = color(ray, sample)
+        weights = result.weights[ray, sample]
+        # Added to the rays by index, so that no (R, N, 3) tensor with mostly zeros is needed.
+        rgb = colors.new_zeros(len(rays), 3).index_add(0, ray, weights[:, None] * colors)
+        if rays.background is not None:
+            rgb = rgb + transmittance(result.tau)[:, None] * single(rays.background)
     return Rendering(
         rays=rays,
         t_edges=t_edges,

@@ -28,6 +28,38 @@ class FieldValues(NamedTuple):
     raw: Float[Tensor, "evaluated out"]
     rows: Int[Tensor, "rays samples"]
 
+    @classmethod
+    def scattered(
+        cls,
+        density: Float[Tensor, " evaluated"],
+        raw: Float[Tensor, "evaluated out"],
+        places: Int[Tensor, " evaluated"],
+        shape: torch.Size,
+    ) -> FieldValues:
+        """Return values of which some samples have not been evaluated; their density is 0.
+
+        Args:
+            density: (K,) densities of those that have been.
+            raw: (K, 1 + geometry) outputs of the density network.
+            places: (K,) their places among all R * N samples.
+            shape: R and N.
+        """
+        count = len(raw)
+        # All others share one more row, of zeros. It may be read many times, but has no gradient.
+        raw = torch.cat([raw, raw.new_zeros(1, raw.shape[1])])
+        rows = places.new_full((shape.numel(),), count)
+        rows[places] = torch.arange(count, device=places.device)
+        dense = density.new_zeros(shape.numel()).index_copy(0, places, density)
+        return cls(dense.view(shape), raw, rows.view(shape))
+
+    @property
+    def raw_density(self) -> Float[Tensor, "rays samples"]:
+        """(R, N) outputs of the density network, before the activation.
+
+        It is 0 for samples that have not been evaluated.
+        """
+        return self.raw[:, 0][self.rows]
+
     def followed_by(self, other: FieldValues) -> FieldValues:
         """Return both, with the other's samples after these on each ray."""
         # The samples of a ray are then in two parts of `raw`. Their rows are renumbered instead of

@@ -4,31 +4,28 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from contextlib import AbstractContextManager
-from typing import Protocol, runtime_checkable
+from dataclasses import replace
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from nerfreg.field.directions import WIDTH, spherical_harmonics
-from nerfreg.field.grid_layout import FEATURES
 from nerfreg.field.radiance_field import RadianceField
-from nerfreg.hooks import Rays, Rendering, Samples, Step
+from nerfreg.hooks import (
+    ColorSamples,
+    DensitySamples,
+    FieldView,
+    Rays,
+    Rendering,
+    Samples,
+    Step,
+)
 from nerfreg.rendering.compositing import assemble, integrate
 from nerfreg.rendering.config import SamplerConfig
 from nerfreg.rendering.field_values import FieldValues
+from nerfreg.rendering.render_hooks import RenderHooks
 from nerfreg.rendering.sampling import edges_between, importance, merge, stratified
-
-
-@runtime_checkable
-class RenderHooks(Protocol):
-    """The two hooks that are called while rays are rendered; `nerfreg.registry.Hooks` has both."""
-
-    def ray_bounds(self, rays: Rays, step: Step) -> tuple[Tensor, Tensor]:
-        """Return near and far of each ray, (R,) each, in world units."""
-
-    def encoder_input(self, samples: Samples, step: Step) -> Samples:
-        """Return what the encoders see instead of `samples`."""
+from nerfreg.rendering.stepped_field import SteppedField
 
 
 class Renderer:
@@ -49,7 +46,24 @@ class Renderer:
         self.hooks = hooks
         self.points = 0
 
-    def render(self, rays: Rays, step: Step, like: Rendering | None = None) -> Rendering:
+    def cast(self, rays: Rays, step: Step) -> Rays:
+        """Return the rays of a step as the plugins change them, clipped to the box again."""
+        changed = self.hooks.rays(rays, step)
+        if changed.origins is rays.origins and changed.directions is rays.directions:
+            return changed
+        if step.scene is None:
+            return changed
+        near, far = step.scene.clipped(changed.origins.detach(), changed.directions.detach())
+        return replace(changed, near=near, far=far)
+
+    def render(
+        self,
+        rays: Rays,
+        step: Step,
+        like: Rendering | None = None,
+        shift: Float[Tensor, "rays samples 3"] | None = None,
+        density_only: bool = False,
+    ) -> Rendering:
         """Render rays through the hooks.
 
         Without `like`, stratified samples come first, then importance samples where their weights
@@ -62,28 +76,37 @@ class Renderer:
         Args:
             rays: R rays.
             step: The step that they belong to.
-            like: An earlier rendering of these rays.
+            like: An earlier rendering of as many rays.
+            shift: (R, N, 3) what to add to the positions of the samples of `like`.
+            density_only: Whether to leave out colours; `rgb` is NaN then.
 
         Returns:
             The rendering of the rays, with N samples each.
         """
         if like is not None:
-            samples = self._encode(rays, like.t, step)
-            values = self._evaluate(samples)
+            samples = self._encode(rays, like.t, step, shift)
+            values = self._evaluate(samples, step)
             # The earlier choice of coloured samples is kept although the weights may differ now: a
             # perturbation of colours has a row for each of these samples.
-            color = self._color(values, samples.directions, samples.color_features)
-            return assemble(rays, like.t, like.t_edges, values.density, color, like.colored)
+            colored = None if density_only else like.colored
+            color = self._color(rays, like.t, values, samples.directions, samples, step)
+            return self._composite(
+                rays, like.t, like.t_edges, values, None if density_only else color, step, colored
+            )
         # Both evaluations of the field add to one gradient of the hash table, which saves zeroing
         # and adding a second one: 100 MB of writes per step at 2^19 entries per level.
-        with self.field.grid.one_gradient():
-            return self._sample_and_render(rays, step)
+        with self.field.one_gradient():
+            return self._sample_and_render(rays, step, density_only)
+
+    def view(self, step: Step) -> FieldView:
+        """Return the field as this step sees it."""
+        return SteppedField(self.field, self.hooks, step)
 
     def frozen(self) -> AbstractContextManager[None]:
         """Return a context in which nothing rendered has gradients for the field's weights."""
         return self.field.frozen()
 
-    def _sample_and_render(self, rays: Rays, step: Step) -> Rendering:
+    def _sample_and_render(self, rays: Rays, step: Step, density_only: bool) -> Rendering:
         near, far = self.hooks.ray_bounds(rays, step)
         # The distributions along two rays can be compared sample by sample only if both have the
         # same t. So one row of t is drawn for each group, over a range that covers all its rays.
@@ -94,7 +117,7 @@ class Renderer:
         )
         ray_near, ray_far = _per_ray(near, rays.groups), _per_ray(far, rays.groups)
         coarse_samples = self._encode(rays, coarse, step)
-        first = self._evaluate(coarse_samples)
+        first = self._evaluate(coarse_samples, step)
         # Where samples are placed has no gradient, but their values have: the coarse samples are
         # composited with the fine ones, so that the gradient goes through both evaluations.
         with torch.no_grad():
@@ -113,49 +136,84 @@ class Renderer:
             fine = _per_ray(fine, rays.groups)
             t, order = merge(coarse, fine)
         fine_samples = self._encode(rays, fine, step)
-        both = first.followed_by(self._evaluate(fine_samples)).ordered(order)
+        both = first.followed_by(self._evaluate(fine_samples, step)).ordered(order)
         directions = _merged_directions(coarse_samples, fine_samples, order)
         edges = edges_between(t, ray_near, ray_far)
-        color = self._color(both, directions, fine_samples.color_features)
-        return assemble(rays, t, edges, both.density, color)
+        color = self._color(rays, t, both, directions, fine_samples, step)
+        return self._composite(rays, t, edges, both, None if density_only else color, step)
 
-    def _encode(self, rays: Rays, t: Tensor, step: Step) -> Samples:
+    def _composite(
+        self,
+        rays: Rays,
+        t: Tensor,
+        edges: Tensor,
+        values: FieldValues,
+        color: Callable[[Tensor, Tensor], Tensor] | None,
+        step: Step,
+        colored: Tensor | None = None,
+    ) -> Rendering:
+        """Composite samples, and let plugins change their densities before and the result after."""
+        density = values.density
+        if self.hooks.changes("nerfreg_density", step):
+            density = self.hooks.density(
+                DensitySamples(rays, t, edges, density, lambda: values.raw_density), step
+            )
+        return self.hooks.rendering(assemble(rays, t, edges, density, color, colored), step)
+
+    def _encode(self, rays: Rays, t: Tensor, step: Step, shift: Tensor | None = None) -> Samples:
+        positions = rays.origins[:, None] + rays.directions[:, None] * t[..., None]
         samples = Samples(
-            positions=rays.origins[:, None] + rays.directions[:, None] * t[..., None],
+            positions=positions if shift is None else positions + shift,
             directions=rays.directions,
             t=t,
-            density_width=FEATURES * self.field.grid.layout.levels,
-            color_width=WIDTH,
+            density_width=self.field.density_width,
+            color_width=self.field.direction_width,
         )
         return self.hooks.encoder_input(samples, step)
 
-    def _evaluate(self, samples: Samples) -> FieldValues:
-        points = samples.t.numel()
-        self.points += points
-        raw = self.field.raw_density(samples.positions.reshape(-1, 3), samples.density_features)
-        rows = torch.arange(points, device=raw.device).view(samples.t.shape)
-        return FieldValues(self.field.density(raw).view(samples.t.shape), raw, rows)
+    def _evaluate(self, samples: Samples, step: Step) -> FieldValues:
+        positions, shape = samples.positions.reshape(-1, 3), samples.t.shape
+        empty = self.hooks.empty(positions.detach(), step)
+        if empty is not None:
+            seen = (~empty).nonzero().squeeze(1)
+            positions = positions.index_select(0, seen)
+        self.points += len(positions)
+        raw = self.field.raw_density(positions, samples.density_features)
+        density, rows = self.field.density(raw), torch.arange(len(raw), device=raw.device)
+        if empty is not None:
+            return FieldValues.scattered(density, raw, seen, shape)
+        return FieldValues(density.view(shape), raw, rows.view(shape))
 
     def _color(
         self,
+        rays: Rays,
+        t: Tensor,
         values: FieldValues,
         directions: Float[Tensor, "rays 3"] | Float[Tensor, "rays samples 3"],
-        features: float | None,
+        samples: Samples,
+        step: Step,
     ) -> Callable[[Tensor, Tensor], Float[Tensor, "colored 3"]]:
         """Return a function that evaluates the colours of samples, given their indices."""
+        asked = self.hooks.changes("nerfreg_color_input", step)
 
         def color(ray: Tensor, sample: Tensor) -> Float[Tensor, "colored 3"]:
-            harmonics = _harmonics(directions, ray, sample)
-            return self.field.color(values.picked(ray, sample), harmonics, features)
+            encoded = self._encoded_directions(directions, ray, sample)
+            more = (
+                self.hooks.color_input(ColorSamples(rays, ray, t[ray, sample]), step)
+                if asked
+                else None
+            )
+            return self.field.color(
+                values.picked(ray, sample), encoded, samples.color_features, more
+            )
 
         return color
 
-
-def _harmonics(directions: Tensor, ray: Tensor, sample: Tensor) -> Tensor:
-    if directions.dim() == 2:
-        # Computed once per ray and copied to its samples.
-        return spherical_harmonics(directions).index_select(0, ray)
-    return spherical_harmonics(directions[ray, sample])
+    def _encoded_directions(self, directions: Tensor, ray: Tensor, sample: Tensor) -> Tensor:
+        if directions.dim() == 2:
+            # Computed once per ray and copied to its samples.
+            return self.field.encode_directions(directions).index_select(0, ray)
+        return self.field.encode_directions(directions[ray, sample])
 
 
 def _merged_directions(coarse: Samples, fine: Samples, order: Tensor) -> Tensor:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -28,12 +27,14 @@ def evaluate_run(run: Path, overrides: Sequence[str] = ()) -> dict[str, Any]:
     Raises:
         NerfregError: There is no run, its plugins are not installed, or its weights do not fit.
     """
-    config, scene, field, state = load_run(run, overrides)
+    loaded = load_run(run, overrides)
+    config, scene, state, trained = loaded.config, loaded.scene, loaded.state, loaded.trained
     lpips = load_lpips(config.eval.lpips_weights) if config.eval.lpips else None
-    scores = score_views(scene, scene.test, saving(field, config, scene, run), lpips)
+    render = saving(trained, config.eval.save_renders, run)
+    scores = score_views(scene, scene.test, render, lpips, measure=trained.measure)
     # The losses of the last step are not known here; all else is as after training.
     results = {
-        **asdict(state),
+        **state.record(),
         **scores.record(),
         "points_per_second": state.points / max(state.train_seconds, 1e-9),
         "test_views": per_view(scene, scores),

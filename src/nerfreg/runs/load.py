@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numba
@@ -12,10 +12,13 @@ import torch
 from nerfreg.config.saved import read_run
 from nerfreg.config.schema import Config
 from nerfreg.errors import NerfregError
-from nerfreg.field import RadianceField
+from nerfreg.evaluation.trained import TrainedField
 from nerfreg.field.fit import fitted
 from nerfreg.field.workers import set_threads, threads
+from nerfreg.hooks import Step
 from nerfreg.registry import Hooks
+from nerfreg.registry.field import make_field
+from nerfreg.rendering.renderer import Renderer
 from nerfreg.scenes import Scene, load_scene
 from nerfreg.training.checkpoint import State, load_checkpoint
 from nerfreg.training.memory import keep_large_blocks
@@ -45,17 +48,32 @@ def prepare(config: Config) -> torch.device:
     return device
 
 
-def load_run(
-    run: Path, overrides: Sequence[str] = ()
-) -> tuple[Config, Scene, RadianceField, State]:
+@dataclass(frozen=True)
+class LoadedRun:
+    """A run that has been read back.
+
+    Attributes:
+        config: Its configuration.
+        state: Where it stood when its checkpoint was saved.
+        trained: Its field, in evaluation.
+    """
+
+    config: Config
+    state: State
+    trained: TrainedField
+
+    @property
+    def scene(self) -> Scene:
+        """Its scene."""
+        return self.trained.scene
+
+
+def load_run(run: Path, overrides: Sequence[str] = ()) -> LoadedRun:
     """Read a run back from its folder.
 
     Args:
         run: The run's folder.
         overrides: `key=value` changes of the saved configuration.
-
-    Returns:
-        Its configuration, its scene, its trained field, and where it stood at its end.
 
     Raises:
         NerfregError: There is no run, its plugins are not installed, or its weights do not fit.
@@ -65,7 +83,38 @@ def load_run(
     config = read_run(run, overrides)
     scene = load_scene(config.scene)
     config = replace(config, field=fitted(config.field, scene))
-    # With the layers of the run's plugins: their parameters are part of the checkpoint.
-    field = RadianceField(config.field, scene.box, Hooks(config.reg).layer)
+    device = prepare(config)
+    return LoadedRun(config, *load_trained(run, config, scene, Hooks(config.reg), device))
+
+
+def load_trained(
+    run: Path, config: Config, scene: Scene, hooks: Hooks, device: torch.device
+) -> tuple[State, TrainedField]:
+    """Read the checkpoint of a run, with the state of its plugins.
+
+    Args:
+        run: The run's folder.
+        config: Its configuration, with the field fitted to the scene.
+        scene: Its scene.
+        hooks: Hooks of its plugins, which have taken part in nothing yet.
+        device: Where the field is to be.
+
+    Raises:
+        NerfregError: The checkpoint is missing or damaged, or does not fit the configuration.
+    """
+    # With what the run's plugins put into it: their parameters are part of the checkpoint.
+    field = make_field(config.field, scene.info, hooks)
     state = load_checkpoint(run, field)
-    return config, scene, field.to(prepare(config)).eval(), state
+    hooks.load_state_dict(state.plugins)
+    step = Step(
+        index=state.step,
+        total=state.step,
+        fraction=state.fraction,
+        generator=torch.Generator().manual_seed(0),
+        bounds=(scene.near, scene.far),
+        renderer=Renderer(field.to(device).eval(), config.sampler, hooks),
+        training=False,
+        scene=scene.info,
+    )
+    hooks.begin(step)
+    return state, TrainedField(field, hooks, step, config.sampler, scene)

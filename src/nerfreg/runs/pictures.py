@@ -5,12 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-from nerfreg.config.schema import Config
 from nerfreg.evaluation.config import subset_of
 from nerfreg.evaluation.images import save_png, side_by_side
 from nerfreg.evaluation.scores import photograph
-from nerfreg.field import RadianceField
-from nerfreg.rendering.views import View, ViewRenderer
+from nerfreg.evaluation.trained import TrainedField
+from nerfreg.rendering.views import View
 from nerfreg.runs.files import RENDERS
 from nerfreg.runs.results import view_label
 from nerfreg.scenes import Scene
@@ -18,32 +17,28 @@ from nerfreg.scenes import Scene
 RenderView = Callable[[int], View]
 
 
-def strided(field: RadianceField, config: Config, scene: Scene) -> RenderView:
-    """Return a function that renders every `eval.pixels_stride`-th row and column of a view.
+def strided(trained: TrainedField, stride: int) -> RenderView:
+    """Return a function that renders every `stride`-th row and column of a view.
 
     Args:
-        field: The trained field, which must not change while the function is in use.
-        config: Configuration of the run.
-        scene: Its scene.
+        trained: The trained field, which must not change while the function is in use.
+        stride: Stride between rows and columns.
     """
-    renderer = ViewRenderer(field, config.sampler, scene)
-    return lambda view: renderer.view(scene.cameras, view, config.eval.pixels_stride)
+    renderer = trained.renderer()
+    return lambda view: renderer.view(trained.scene.cameras, view, stride)
 
 
-def saving(field: RadianceField, config: Config, scene: Scene, run: Path) -> RenderView:
+def saving(trained: TrainedField, save_renders: int | None, run: Path) -> RenderView:
     """Return a function that renders views at full size, and saves pictures of some.
 
-    The pictures of as many test views as `eval.save_renders` says go to RUN/renders.
-
     Args:
-        field: The trained field, which must not change while the function is in use.
-        config: Configuration of the run.
-        scene: Its scene.
+        trained: The trained field, which must not change while the function is in use.
+        save_renders: Of how many test views a picture goes to RUN/renders; None: of all.
         run: The run's folder.
     """
-    renderer = ViewRenderer(field, config.sampler, scene)
-    count = config.eval.save_renders
-    saved = set(scene.test if count is None else subset_of(scene.test, count))
+    renderer, scene = trained.renderer(), trained.scene
+    test = scene.test
+    saved = set(test if save_renders is None else subset_of(test, save_renders))
 
     def render(view: int) -> View:
         rendered = renderer.view(scene.cameras, view)

@@ -24,14 +24,20 @@ from nerfreg.config.saved import restored
 from nerfreg.config.schema import Config
 from nerfreg.errors import NerfregError
 from nerfreg.field import RadianceField
-from nerfreg.files import atomic
+from nerfreg.files import atomic, json_text
 from nerfreg.hooks import Rays, Step
 from nerfreg.rays.batch import Batch
 from nerfreg.runs.files import RECORDED_STEPS
+from nerfreg.scenes.cameras import Cameras
+from nerfreg.scenes.scene import SceneInfo
 from nerfreg.training.faults import Fault
+from nerfreg.training.plugin_state import packed, unpacked
 
 FORMAT = "nerfreg-step-1"
 """Name and version of the format, in the metadata."""
+CAMERAS = ("poses", "focal", "center", "distortion")
+SCENE = ("near", "far", "layout", "name", "labels")
+"""What is recorded of the scene besides its box and the training cameras."""
 KEPT = 3
 """Number of files that a run keeps: as many as the steps in a row that end a run."""
 
@@ -44,15 +50,17 @@ class Recording:
         config: Configuration of the run.
         batch: The rays of the step, without a renderer.
         weights: Weights of the field before the step, by name.
-        box: (2, 3) corners of the scene's box.
+        scene: What was known of the scene.
         faults: What was not finite.
+        states: The state of plugins, by name.
     """
 
     config: Config
     batch: Batch
     weights: dict[str, Tensor]
-    box: Float[Tensor, "2 3"]
+    scene: SceneInfo
     faults: tuple[str, ...]
+    states: dict[str, dict[str, Any]]
 
 
 class StepRecorder:
@@ -70,7 +78,12 @@ class StepRecorder:
         self._drop_all_but(0)
 
     def save(
-        self, batch: Batch, field: RadianceField, box: Float[Tensor, "2 3"], faults: Sequence[Fault]
+        self,
+        batch: Batch,
+        field: RadianceField,
+        box: Float[Tensor, "2 3"],
+        faults: Sequence[Fault],
+        states: dict[str, dict[str, Any]],
     ) -> Path:
         """Save one step.
 
@@ -79,6 +92,7 @@ class StepRecorder:
             field: The field, with its weights before the step.
             box: (2, 3) corners of the scene's box.
             faults: What was not finite.
+            states: The state of plugins, by name.
 
         Returns:
             The file.
@@ -88,7 +102,7 @@ class StepRecorder:
         """
         # Zeros make the order of names that of steps, by which the latest are kept.
         path = self._folder / f"step_{batch.step.index:06d}.safetensors"
-        _write(path, self._config, batch, field.state_dict(), box, faults)
+        _write(path, self._config, batch, field.state_dict(), box, faults, states)
         self._drop_all_but(KEPT)
         return path
 
@@ -105,19 +119,32 @@ def _write(
     weights: dict[str, Tensor],
     box: Tensor,
     faults: Sequence[Fault],
+    states: dict[str, dict[str, Any]],
 ) -> None:
     rays = {
         f"rays.{name}": part for name, part in vars(batch.rays).items() if isinstance(part, Tensor)
-    }
+    } | {f"rays.data.{name}": values for name, values in batch.rays.data.items()}
+    scene = batch.step.scene
+    assert scene is not None, "a step of training has a scene"
+    plain, of_plugins = packed(states)
     tensors = {**rays, **{f"field.{name}": tensor for name, tensor in weights.items()}}
     # In format 1 the state of the generator has this name.
     tensors |= {"box": box, "chance": batch.rng_state}
+    tensors |= {f"cameras.{name}": getattr(scene.cameras, name) for name in CAMERAS}
+    tensors |= {f"plugins.{name}": part for name, part in of_plugins.items()}
     step = {key: getattr(batch.step, key) for key in ("index", "total", "fraction", "bounds")}
     metadata = {
         "format": FORMAT,
         "config": OmegaConf.to_yaml(OmegaConf.structured(config)),
         "step": json.dumps(step),
         "faults": json.dumps([fault.what for fault in faults]),
+        "scene": json.dumps(
+            {
+                "size": [scene.cameras.width, scene.cameras.height],
+                **{name: getattr(scene, name) for name in SCENE},
+            }
+        ),
+        "plugins": json_text(plain),
     }
     # Cloned, because rays may share memory with one another, which safetensors refuses.
     whole = {
@@ -153,18 +180,41 @@ def load_recording(path: Path) -> Recording:
     assert isinstance(saved, DictConfig)
     step = json.loads(metadata["step"])
     parts: dict[str, Any] = {part.name: tensors.get(f"rays.{part.name}") for part in fields(Rays)}
+    parts["data"] = _below(tensors, "rays.data.")
     low, high = step["bounds"]
+    scene = _scene(tensors, json.loads(metadata.get("scene", "{}")), (low, high))
     generator = torch.Generator()
     generator.set_state(tensors["chance"])
     position = (step["index"], step["total"], step["fraction"])
     return Recording(
         config=restored(saved, str(path)),
-        batch=Batch.of(Rays(**parts), Step(*position, generator, (low, high))),
-        weights={
-            name.removeprefix("field."): part
-            for name, part in tensors.items()
-            if name.startswith("field.")
-        },
-        box=tensors["box"],
+        batch=Batch.of(Rays(**parts), Step(*position, generator, (low, high), scene=scene)),
+        weights=_below(tensors, "field."),
+        scene=scene,
         faults=tuple(json.loads(metadata["faults"])),
+        states=unpacked(json.loads(metadata.get("plugins", "{}")), _below(tensors, "plugins.")),
+    )
+
+
+def _below(tensors: dict[str, Tensor], prefix: str) -> dict[str, Tensor]:
+    return {
+        name.removeprefix(prefix): part for name, part in tensors.items() if name.startswith(prefix)
+    }
+
+
+def _scene(
+    tensors: dict[str, Tensor], known: dict[str, Any], bounds: tuple[float, float]
+) -> SceneInfo:
+    """The scene of a recording; one without cameras if the recording is older than these."""
+    none = {"poses": (0, 3, 4), "focal": (0, 2), "center": (0, 2), "distortion": (0, 5)}
+    parts = [tensors.get(f"cameras.{name}", torch.zeros(none[name])) for name in CAMERAS]
+    width, height = known.get("size", (1, 1))
+    return SceneInfo(
+        cameras=Cameras(width, height, *parts),
+        box=tensors["box"],
+        near=known.get("near", bounds[0]),
+        far=known.get("far", bounds[1]),
+        layout=known.get("layout", "orbit"),
+        name=known.get("name", ""),
+        labels=tuple(known.get("labels", ())),
     )

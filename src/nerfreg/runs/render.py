@@ -7,7 +7,6 @@ from pathlib import Path
 from nerfreg.evaluation.images import depth_image
 from nerfreg.evaluation.paths import orbit_path, spiral_path
 from nerfreg.evaluation.video import write_video
-from nerfreg.rendering.views import ViewRenderer
 from nerfreg.runs.load import load_run
 from nerfreg.runs.pictures import save_view
 
@@ -28,8 +27,8 @@ def render_run(
     Raises:
         NerfregError: There is no run, its plugins are not installed, or its weights do not fit.
     """
-    config, scene, field, _ = load_run(run)
-    renderer = ViewRenderer(field, config.sampler, scene)
+    trained = load_run(run).trained
+    renderer, scene = trained.renderer(), trained.scene
     if path == "test":
         for view in scene.test:
             save_view(out, scene, view, renderer.view(scene.cameras, view))

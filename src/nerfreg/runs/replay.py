@@ -12,9 +12,9 @@ from rich.table import Table
 from torch import Tensor
 
 from nerfreg.errors import NerfregError
-from nerfreg.field import RadianceField
 from nerfreg.hooks import Rendering
 from nerfreg.registry import Hooks, Term
+from nerfreg.registry.field import make_field
 from nerfreg.rendering.renderer import Renderer
 from nerfreg.runs.recording import Recording, load_recording
 from nerfreg.training.faults import Fault, faults_of
@@ -41,7 +41,8 @@ def replay(path: Path) -> int:
     recording = load_recording(path)
     config, batch = recording.config, recording.batch
     hooks = Hooks(config.reg)
-    field = RadianceField(config.field, recording.box, hooks.layer)
+    field = make_field(config.field, recording.scene, hooks)
+    hooks.load_state_dict(recording.states)
     try:
         field.load_state_dict(recording.weights)
     except RuntimeError as error:

@@ -10,12 +10,14 @@ from typing import Any
 from nerfreg.config.schema import Config
 from nerfreg.errors import NonFiniteError
 from nerfreg.evaluation.config import subset_of
+from nerfreg.evaluation.leaks import require_no_leak
 from nerfreg.evaluation.lpips import LPIPS, load_lpips
 from nerfreg.evaluation.scores import Scores, score_views
+from nerfreg.evaluation.trained import evaluated
 from nerfreg.field.fit import fitted
 from nerfreg.registry import Hooks, Term
 from nerfreg.runs.files import METRICS, append_metrics, write_results
-from nerfreg.runs.load import prepare
+from nerfreg.runs.load import load_trained, prepare
 from nerfreg.runs.pictures import saving, strided
 from nerfreg.runs.recording import StepRecorder
 from nerfreg.runs.results import description, evaluation_record, losses, summary
@@ -58,10 +60,10 @@ def train(config: Config, folder: Path) -> dict[str, Any]:
         if config.train.check
         else Hooks(config.reg)
     )
-    if hooks.depth_tellers:
-        tellers = ", ".join(hooks.depth_tellers)
+    if hooks.preparing:
         # This may take a while, before the first step and thus before the bar.
-        progress.message(f"{tellers}: analysing {len(scene.train)} photographs")
+        names = ", ".join(hooks.preparing)
+        progress.message(f"{names}: analysing {len(scene.train)} photographs")
     trainer = Trainer(
         scene,
         hooks,
@@ -77,12 +79,15 @@ def train(config: Config, folder: Path) -> dict[str, Any]:
     (folder / METRICS).unlink(missing_ok=True)
     with progress:
         terms = _loop(trainer, config, folder, lpips, progress)
+        trainer.end()
         # Saved before scoring, which takes minutes and can be repeated by `nerfreg evaluate`.
         _save(folder, trainer)
-        progress.message(f"scoring {len(scene.test)} test views")
-        with trainer.average.applied():
-            render = saving(trainer.field, config, scene, folder)
-            scores = score_views(scene, scene.test, render, lpips)
+        with evaluated(trainer) as trained:
+            _, saved = load_trained(folder, config, scene, hooks.fresh(), device)
+            require_no_leak(trained, saved)
+            progress.message(f"scoring {len(scene.test)} test views")
+            render = saving(trained, config.eval.save_renders, folder)
+            scores = score_views(scene, scene.test, render, lpips, measure=trained.measure)
     record = _append(folder, trainer, scores, terms)
     results = {**record, **description(config, scene)}
     write_results(folder, results)
@@ -113,9 +118,9 @@ def _loop(
         # pass several times at once, which are then scored once.
         if due[0] <= budget.fraction < 1:
             due = [share for share in due if share > budget.fraction]
-            with trainer.average.applied():
+            with evaluated(trainer) as trained:
                 # A new renderer each time, whose occupancy grid belongs to the present weights.
-                render = strided(trainer.field, config, scene)
+                render = strided(trained, config.eval.pixels_stride)
                 scores = score_views(scene, subset, render, lpips, config.eval.pixels_stride)
             psnr = scores.psnr
             _append(folder, trainer, scores, terms)
@@ -132,10 +137,17 @@ def _append(
 
 def _save(folder: Path, trainer: Trainer) -> None:
     # The averaged weights, because these are the ones that are evaluated.
+    state = replace(_state(trainer), plugins=trainer.hooks.state_dict())
     with trainer.average.applied():
-        save_checkpoint(folder, trainer.field, _state(trainer))
+        save_checkpoint(folder, trainer.field, state)
 
 
 def _state(trainer: Trainer) -> State:
     budget = trainer.budget
-    return State(budget.step, budget.seconds, trainer.renderer.points, trainer.guard.skipped)
+    return State(
+        budget.step,
+        budget.seconds,
+        trainer.renderer.points,
+        trainer.guard.skipped,
+        budget.fraction,
+    )

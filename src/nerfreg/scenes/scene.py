@@ -13,6 +13,7 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from nerfreg.scenes.cameras import Cameras
+from nerfreg.scenes.clipping import clip_to_box
 
 T = TypeVar("T")
 
@@ -58,6 +59,12 @@ class SceneInfo:
     def unit(self, positions: Float[Tensor, "*points 3"]) -> Float[Tensor, "*points 3"]:
         """Map world positions to the unit cube that encoders see: the cube around the box."""
         return (positions - self.center.to(positions)) / (2 * self.half_box) + 0.5
+
+    def clipped(
+        self, origins: Float[Tensor, "rays 3"], directions: Float[Tensor, "rays 3"]
+    ) -> tuple[Float[Tensor, " rays"], Float[Tensor, " rays"]]:
+        """Return the distances at which rays enter and leave the box, `(R,)` each."""
+        return clip_to_box(origins, directions, self.box.to(origins), self.near, self.far)
 
 
 @dataclass(frozen=True, kw_only=True)

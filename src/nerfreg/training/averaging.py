@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from contextlib import contextmanager
 
 import torch
-from torch import Tensor, nn
+from torch import nn
 
 
 class MovingAverage:
@@ -17,15 +17,25 @@ class MovingAverage:
 
     Attributes:
         decay: Upper bound of d, in [0, 1). 0 keeps no copy: the average is the weights.
-        parameters: The parameters, detached; they share memory with the module's.
+        parameters: The parameters that are averaged.
         averages: Their averages; empty if `decay` is 0.
         updates: Number n of updates so far.
     """
 
-    def __init__(self, module: nn.Module, decay: float) -> None:
+    def __init__(
+        self, module: nn.Module, decay: float, left_out: Collection[nn.Parameter] = ()
+    ) -> None:
+        """Begin with the present weights.
+
+        Args:
+            module: The module.
+            decay: Upper bound of d.
+            left_out: Parameters of the module that are not averaged.
+        """
+        excluded = {id(parameter) for parameter in left_out}
         self.decay = decay
-        self.parameters: list[Tensor] = [p.detach() for p in module.parameters()]
-        self.averages = [p.clone() for p in self.parameters] if decay else []
+        self.parameters = [p for p in module.parameters() if id(p) not in excluded]
+        self.averages = [p.detach().clone() for p in self.parameters] if decay else []
         self.updates = 0
 
     @torch.no_grad()
@@ -36,22 +46,21 @@ class MovingAverage:
             # A short memory at first, so that the random initial weights are soon forgotten.
             decay = min(self.decay, (1 + self.updates) / (10 + self.updates))
             # One pass over all parameters, because memory bandwidth is what limits the average.
-            torch._foreach_lerp_(self.averages, self.parameters, 1 - decay)
+            torch._foreach_lerp_(self.averages, [p.detach() for p in self.parameters], 1 - decay)
 
     @contextmanager
-    @torch.no_grad()
     def applied(self) -> Iterator[None]:
-        """Give the module the averaged weights within this context, and its own again after it."""
-        # The values are exchanged and not the tensors, because the optimizer and the field hold
-        # references to the parameters.
-        own = [p.clone() for p in self.parameters] if self.averages else []
-        _copy(self.parameters, self.averages)
+        """Give the module the averaged weights within this context, and its own again after it.
+
+        Nothing is copied, and a graph that was recorded before can be differentiated afterwards.
+        """
+        # The optimizer and the field hold references to the parameters, which stay the same
+        # objects; only where their values lie is exchanged.
+        own = [p.data for p in self.parameters]
         try:
+            for parameter, average in zip(self.parameters, self.averages, strict=False):
+                parameter.data = average
             yield
         finally:
-            _copy(self.parameters, own)
-
-
-def _copy(targets: list[Tensor], sources: list[Tensor]) -> None:
-    if sources:
-        torch._foreach_copy_(targets, sources)
+            for parameter, values in zip(self.parameters, own, strict=True):
+                parameter.data = values

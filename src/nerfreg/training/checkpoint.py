@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import json
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 from safetensors import SafetensorError
 from safetensors.torch import load_file, save_file
@@ -12,9 +13,11 @@ from safetensors.torch import load_file, save_file
 from nerfreg.errors import NerfregError
 from nerfreg.field import RadianceField
 from nerfreg.files import json_text, write_text
+from nerfreg.training.plugin_state import packed, unpacked
 
 FOLDER = "checkpoint"
 WEIGHTS = "field.safetensors"
+PLUGINS = "plugins.safetensors"
 STATE = "state.json"
 
 
@@ -27,42 +30,57 @@ class State:
         train_seconds: Training time, in seconds.
         points: Evaluations of the density in training.
         skipped_steps: Steps that were left out; see `nerfreg.training.guard.Guard`.
+        fraction: Share of the budget that was spent.
+        plugins: What plugins had learned besides parameters, by name (`Regularizer.state_dict`).
     """
 
     step: int
     train_seconds: float
     points: int
     skipped_steps: int = 0
+    fraction: float = 1.0
+    plugins: dict[str, dict[str, Any]] = field(default_factory=dict)
+
+    def record(self) -> dict[str, int | float]:
+        """Return what results and metrics tell of it."""
+        names = ("step", "train_seconds", "points", "skipped_steps")
+        return {name: getattr(self, name) for name in names}
 
 
-def save_checkpoint(run: Path, field: RadianceField, state: State) -> None:
+def save_checkpoint(run: Path, radiance: RadianceField, state: State) -> None:
     """Write RUN/checkpoint; an older one is replaced file by file, each whole or not at all.
 
     Args:
         run: The run's folder.
-        field: Its field, with the weights to save.
+        radiance: Its field, with the weights to save.
         state: Where the run stands.
     """
     folder = run / FOLDER
     folder.mkdir(parents=True, exist_ok=True)
     weights = {
-        name: tensor.detach().cpu().contiguous() for name, tensor in field.state_dict().items()
+        name: tensor.detach().cpu().contiguous() for name, tensor in radiance.state_dict().items()
     }
-    # Both files are written in full before either is renamed: a failure while they are written, of
-    # a full disk for example, leaves the old pair, and old and new files are mixed only if the
-    # process ends between the two renamings.
+    # All files are written in full before either is renamed: a failure while they are written, of
+    # a full disk for example, leaves the old ones, and old and new files are mixed only if
+    # the process ends between two renamings.
     save_file(weights, folder / f".{WEIGHTS}")
-    write_text(folder / f".{STATE}", json_text(asdict(state), indent=2) + "\n")
-    for name in (WEIGHTS, STATE):
+    plain, tensors = packed(state.plugins)
+    if tensors:
+        save_file(tensors, folder / f".{PLUGINS}")
+    else:
+        (folder / PLUGINS).unlink(missing_ok=True)
+    record = {**vars(state), "plugins": plain}
+    write_text(folder / f".{STATE}", json_text(record, indent=2) + "\n")
+    for name in (WEIGHTS, *([PLUGINS] if tensors else []), STATE):
         (folder / f".{name}").replace(folder / name)
 
 
-def load_checkpoint(run: Path, field: RadianceField) -> State:
+def load_checkpoint(run: Path, radiance: RadianceField) -> State:
     """Read RUN/checkpoint into a field.
 
     Args:
         run: The run's folder.
-        field: A field of the run's configuration, whose weights are replaced.
+        radiance: A field of the run's configuration, whose weights are replaced.
 
     Returns:
         Where the run stood.
@@ -72,8 +90,11 @@ def load_checkpoint(run: Path, field: RadianceField) -> State:
     """
     path = run / FOLDER / WEIGHTS
     try:
-        field.load_state_dict(load_file(path))
-        return State(**json.loads((run / FOLDER / STATE).read_text(encoding="utf-8")))
+        radiance.load_state_dict(load_file(path))
+        record = json.loads((run / FOLDER / STATE).read_text(encoding="utf-8"))
+        of_plugins = run / FOLDER / PLUGINS
+        tensors = load_file(of_plugins) if of_plugins.is_file() else {}
+        return State(**{**record, "plugins": unpacked(record.get("plugins", {}), tensors)})
     except FileNotFoundError as error:
         raise NerfregError(
             f"{error.filename or path}: missing; has the run been trained to its end?"

@@ -8,7 +8,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Protocol, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
 from jaxtyping import Float
 from torch import Tensor
@@ -29,7 +29,12 @@ class FaultRecorder(Protocol):
     """Saves steps that cannot be used; `nerfreg.runs.recording.StepRecorder` is one."""
 
     def save(
-        self, batch: Batch, field: RadianceField, box: Float[Tensor, "2 3"], faults: Sequence[Fault]
+        self,
+        batch: Batch,
+        field: RadianceField,
+        box: Float[Tensor, "2 3"],
+        faults: Sequence[Fault],
+        states: dict[str, dict[str, Any]],
     ) -> Path:
         """Save a step.
 
@@ -38,6 +43,7 @@ class FaultRecorder(Protocol):
             field: The field, with its weights before the step.
             box: (2, 3) corners of the scene's box.
             faults: What was not finite.
+            states: The state of plugins, by name.
 
         Returns:
             The file.
@@ -100,7 +106,7 @@ class Guard:
         line = f"step {batch.step.index} left out: {_in_words(faults)}"
         advice = "a smaller optim.lr may help"
         if self._recorder is not None:
-            path = self._recorder.save(batch, renderer.field, box, faults)
+            path = self._recorder.save(batch, renderer.field, box, faults, hooks.state_dict())
             advice = f"see nerfreg check --replay {path}"
         # The weights have not changed and the rays were others each time, so that the next step is
         # unlikely to fare better.

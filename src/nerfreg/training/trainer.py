@@ -2,14 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from functools import partial
+
 import torch
+from torch import nn
 
 from nerfreg.errors import NerfregError
-from nerfreg.field import FieldConfig, RadianceField
-from nerfreg.hooks import Step
+from nerfreg.field import FieldConfig
+from nerfreg.hooks import Step, TrainedModule
 from nerfreg.rays import RayBatches
 from nerfreg.rays.batch import Batch
 from nerfreg.registry import Hooks, Term
+from nerfreg.registry.field import make_field
 from nerfreg.rendering.config import SamplerConfig
 from nerfreg.rendering.renderer import Renderer
 from nerfreg.scenes.scene import Scene
@@ -75,24 +82,35 @@ class Trainer:
         self.hooks = hooks
         self.optim = optim
         self.generator = torch.Generator().manual_seed(seed)
-        self.field = RadianceField(field, scene.box, hooks.layer).to(device)
+        self.field = make_field(field, scene.info, hooks).to(device).train()
         self.renderer = Renderer(self.field, sampler, hooks)
         self.batches = RayBatches(scene, train.rays, device, self.generator)
+        own, of_plugins = self._parameters()
         # Fused: one pass over weights, gradient and moments, since memory bandwidth limits it.
         self.optimizer = torch.optim.Adam(
-            self.field.parameters(),
+            [{"params": own}, *({"params": parameters} for parameters in of_plugins.values())],
             lr=optim.lr,
             betas=(optim.beta1, optim.beta2),
             eps=optim.eps,
             fused=True,
         )
-        self.average = MovingAverage(self.field, optim.ema)
+        latest = [
+            parameter
+            for name, parameters in of_plugins.items()
+            if not self.field.trained[name].averaged
+            for parameter in parameters
+        ]
+        self.average = MovingAverage(self.field, optim.ema, latest)
         self.budget = Budget(train)
         self.guard = guard or Guard()
         self.warm_up()
         # What a plugin finds out about the photographs before the first step is training time.
         with self.budget.prepare():
             self.batches.known_depth = hooks.known_depth(self.batches.photographs)
+            self.batches.data = hooks.prepare(self.batches.photographs)
+            step = self._step()
+            hooks.begin(step)
+            hooks.start(step)
         if self.budget.fraction >= 1:
             raise NerfregError(
                 f"train.seconds={train.seconds:g}: was spent before the first step, because the "
@@ -120,16 +138,14 @@ class Trainer:
         """
         with self.budget.spend():
             step = self._step()
-            batch = Batch.of(self.batches.draw(self.hooks.needs(step)), step)
-            terms = loss_terms(batch.render(), self.hooks, step)
-            total = total_loss(terms)
-            # Gradients are set to None and not to 0, so that a parameter that is not used in this
-            # step costs nothing.
-            self.optimizer.zero_grad(set_to_none=True)
-            total.backward()
-            finite = usable(total.detach(), self.field.parameters())
-            if finite:
-                self._apply(step)
+            self.hooks.begin(step)
+            try:
+                batch, terms, finite = self._forth_and_back(step)
+                if finite:
+                    self._apply(step)
+                    self.hooks.step_end(step)
+            except Exception as error:
+                raise self.hooks.blamed(error, step) from error
         # Detached, so that whoever keeps the terms does not keep the graph of the step.
         terms = [Term(term.plugin, term.name, term.weight, term.value.detach()) for term in terms]
         if finite:
@@ -142,13 +158,69 @@ class Trainer:
             self.guard.refused(batch, terms, again, self.hooks, self.scene.box)
         return terms
 
+    def end(self) -> None:
+        """Tell the plugins that the last step has been made."""
+        with self.budget.prepare():
+            self.hooks.end(self._step())
+
+    @contextmanager
+    def evaluated(self) -> Iterator[Step]:
+        """Within this context, the field is in evaluation and has its averaged weights.
+
+        Yields:
+            Where the run stands, for the hooks that are called in evaluation.
+        """
+        # A generator of its own, so that evaluation does not change the run.
+        generator = torch.Generator().manual_seed(0)
+        step = replace(self._step(), generator=generator, training=False, averaged=None)
+        self.hooks.begin(step)
+        self.field.eval()
+        try:
+            with self.average.applied():
+                yield step
+        finally:
+            self.field.train()
+
+    def _forth_and_back(self, step: Step) -> tuple[Batch, list[Term], bool]:
+        """Render the rays of a step, and differentiate its loss."""
+        needs = self.hooks.needs(step)
+        choose = (
+            partial(self.hooks.unseen_poses, step, self.scene.info)
+            if self.hooks.changes("nerfreg_unseen_poses", step)
+            else None
+        )
+        batch = Batch.of(self.batches.draw(needs, choose), step)
+        terms = loss_terms(batch.render(), self.hooks, step)
+        total = total_loss(terms)
+        # Gradients are set to None and not to 0, so that a parameter that is not used in this step
+        # costs nothing.
+        self.optimizer.zero_grad(set_to_none=True)
+        total.backward()
+        return batch, terms, usable(total.detach(), self.field.parameters())
+
     def _apply(self, step: Step) -> None:
         # The weights need no test after this: see OptimConfig for why gradients whose squares are
         # finite cannot make a weight that is not.
-        for group in self.optimizer.param_groups:
-            group["lr"] = self.optim.rate(step.fraction, step.total)
+        rate = self.optim.rate(step.fraction, step.total)
+        settings = [TrainedModule(self.field), *self.field.trained.values()]
+        for group, trained in zip(self.optimizer.param_groups, settings, strict=True):
+            own = trained.schedule
+            base = rate if own is None else self.optim.lr * own.at(step.fraction)
+            group["lr"] = base * trained.lr_scale
+            if trained.weight_decay and group["params"]:
+                torch._foreach_mul_(
+                    [p.detach() for p in group["params"]], 1 - group["lr"] * trained.weight_decay
+                )
         self.optimizer.step()
         self.average.update()
+
+    def _parameters(self) -> tuple[list[nn.Parameter], dict[str, list[nn.Parameter]]]:
+        """The parameters of the field, and those of the modules of plugins by plugin."""
+        of_plugins = {
+            name: [*trained.module.parameters()] for name, trained in self.field.trained.items()
+        }
+        taken = {id(parameter) for part in of_plugins.values() for parameter in part}
+        return [p for p in self.field.parameters() if id(p) not in taken], of_plugins
 
     def _step(self) -> Step:
         return Step(
@@ -158,4 +230,6 @@ class Trainer:
             generator=self.generator,
             bounds=(self.scene.near, self.scene.far),
             renderer=self.renderer,
+            scene=self.scene.info,
+            averaged=self.average.applied,
         )
