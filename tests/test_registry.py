@@ -154,7 +154,10 @@ def test_term_that_is_no_scalar_is_refused(rendering, step) -> None:
         def nerfreg_loss(self, rendering):
             return {"forgot": rendering.opacity}
 
-    with pytest.raises(NerfregError, match=r"plugin forgot: term 'forgot' has shape \(2,\)"):
+    with pytest.raises(
+        NerfregError,
+        match=r"plugin forgot \(.*\), nerfreg_loss at step 0: term 'forgot' has shape \(2,\)",
+    ):
         Hooks({"forgot": Forgot()}).losses(rendering(opacity=torch.ones(2)), step(index=0))
 
 
@@ -264,28 +267,39 @@ def photographs() -> Photographs:
     )
 
 
-def test_depth_is_told_by_one_plugin(photographs) -> None:
+def test_depth_of_several_plugins_is_what_they_agree_on(photographs) -> None:
     assert Hooks().known_depth(photographs) is None
     assert Hooks({"silent": Depth(silent=True)}).known_depth(photographs) is None
     assert Hooks({"off": Depth(weight=0.0)}).known_depth(photographs) is None
     known = Hooks({"silent": Depth(silent=True), "late": Depth(start=0.5)}).known_depth(photographs)
     assert known.shape == (3, 4, 2, 2) and known[0, 0, 0].tolist() == [1.0, 2.0]
-    with pytest.raises(NerfregError, match="plugins a and b both tell the depth"):
-        Hooks({"a": Depth(), "b": Depth(last=3.0)}).known_depth(photographs)
+    nothing = Depth(first=float("nan"), last=float("nan"))
+
+    def agreed(*plugins: Depth) -> list[float]:
+        known = Hooks({str(place): p for place, p in enumerate(plugins)}).known_depth(photographs)
+        return known[0, 0, 0].tolist()
+
+    assert agreed(Depth(), Depth(first=1.5, last=3.0)) == [1.5, 2.0]
+    # Nothing in common: the narrower one, in either order.
+    assert agreed(Depth(first=1.0, last=2.0), Depth(first=2.5, last=3.0)) == [2.5, 3.0]
+    assert agreed(Depth(first=2.5, last=3.0), Depth(first=1.0, last=2.0)) == [2.5, 3.0]
+    # Intervals that touch have one distance in common.
+    assert agreed(Depth(), Depth(first=2.0, last=3.0)) == [2.0, 2.0]
+    assert agreed(nothing, Depth()) == agreed(Depth(), nothing) == [1.0, 2.0]
 
 
 def test_depth_of_a_wrong_kind_is_refused(photographs) -> None:
     with pytest.raises(
         NerfregError,
-        match=r"plugin wide, nerfreg_known_depth: has shape \(3, 4, 5, 2\), not \(3, 4, 2, 2\)",
+        match=r"wide \(.*\), nerfreg_known_depth: has shape \(3, 4, 5, 2\), not \(3, 4, 2, 2\)",
     ):
         Hooks({"wide": Depth(pixels=5)}).known_depth(photographs)
     with pytest.raises(
         NerfregError,
-        match="plugin turned, nerfreg_known_depth: some intervals end before they begin",
+        match=r"plugin turned \(.*\), nerfreg_known_depth: some intervals end before they begin",
     ):
         Hooks({"turned": Depth(first=3.0)}).known_depth(photographs)
-    assert Hooks({"off": Depth(weight=0.0), "on": Depth(), "other": Constant()}).depth_tellers == (
+    assert Hooks({"off": Depth(weight=0.0), "on": Depth(), "other": Constant()}).preparing == (
         "on",
     )
     unknown = Hooks({"unknown": Depth(first=float("nan"), last=float("nan"))}).known_depth(

@@ -56,7 +56,8 @@ def test_the_last_line_is_json(run: Path, capsys: pytest.CaptureFixture[str]) ->
 def test_evaluations_are_those_of_the_timed_views(
     run: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    config, scene, field, _ = load_run(run)
+    loaded = load_run(run)
+    scene = loaded.scene
     seen: list[int] = []
 
     def view(self: ViewRenderer, cameras, view: int, stride: int = 1) -> None:
@@ -65,7 +66,7 @@ def test_evaluations_are_those_of_the_timed_views(
         self._colors.append(24 * 16)
 
     monkeypatch.setattr(ViewRenderer, "view", view)
-    measured = measure(field, config.sampler, scene, 3)
+    measured = measure(loaded.trained, 3)
     # The first view is not counted; the next three cost 2, 3 and 4 densities a ray.
     first, second = scene.test
     assert seen == [first, second, first, second]

@@ -57,7 +57,12 @@ def make_step(
     rerender: Callable[[Rendering], Rendering] = lambda rendering: rendering,
 ) -> Step:
     """Step `index` of 1000 in a scene from 2 to 6."""
-    renderer = SimpleNamespace(render=lambda rays, step, like: rerender(like), frozen=nullcontext)
+    renderer = SimpleNamespace(
+        render=lambda rays, step, like, **options: rerender(like),
+        frozen=nullcontext,
+        cast=lambda rays, step: rays,
+        view=lambda step: None,
+    )
     generator = torch.Generator().manual_seed(0)
     return Step(index, 1000, fraction, generator, (2.0, FAR), renderer)
 

@@ -11,10 +11,10 @@ import torch
 from nerfreg_plugins.lipschitz import Lipschitz
 from safetensors.torch import save_file
 
-from nerfreg import hookimpl, registry
+from nerfreg import hookimpl
 from nerfreg.config.schema import Config
 from nerfreg.errors import NerfregError
-from nerfreg.registry import Hooks
+from nerfreg.registry import Hooks, plugins
 from nerfreg.rendering.renderer import Renderer
 from nerfreg.runs.recording import StepRecorder, load_recording
 from nerfreg.runs.replay import replay
@@ -100,8 +100,8 @@ def test_weights_are_no_step(tmp_path: Path) -> None:
 def test_a_plugin_that_is_not_installed_here(
     saved: tuple[Trainer, list, Path], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    points = [point for point in registry._entry_points() if point.name != "faulty"]
-    monkeypatch.setattr(registry, "_entry_points", lambda: points)
+    points = [point for point in plugins._entry_points() if point.name != "faulty"]
+    monkeypatch.setattr(plugins, "_entry_points", lambda: points)
     with pytest.raises(NerfregError, match=r"reg\.faulty is not installed here"):
         replay(saved[2])
 

@@ -147,10 +147,17 @@ def timed_parts(trainer: Trainer) -> Iterator[Stopwatch]:
         yield watch
 
 
+HOOKS = (
+    "begin", "needs", "rays", "ray_bounds", "empty", "encoder_input", "density", "color_input",
+    "rendering", "step_end",
+)  # fmt: skip
+"""The hooks of a step that are timed together; losses are timed by plugin."""
+
+
 def _seams(trainer: Trainer) -> Iterator[tuple[Any, str, str]]:
     """Yield owner and name of each function that is a part, and what the part is called."""
     yield trainer.batches, "draw", "rays"
-    for hook in ("needs", "ray_bounds", "encoder_input"):
+    for hook in HOOKS:
         yield trainer.hooks, hook, "hooks"
     for name, function in vars(sampling).items():
         if isfunction(function) and getattr(renderer, name, None) is function:

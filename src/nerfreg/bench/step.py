@@ -70,10 +70,10 @@ def measure(config: Config, scene: Scene, sizes: StepSizes) -> dict[str, Any]:
     warm = sum(in_turns([lambda: step_at(trainer, sizes.at)], sizes.warmup)[0])
     colors, color = 0, trainer.field.color
 
-    def counted(raw: Tensor, harmonics: Tensor, active: float | None = None) -> Tensor:
+    def counted(raw: Tensor, *others: Any) -> Tensor:
         nonlocal colors
         colors += len(raw)
-        return color(raw, harmonics, active)
+        return color(raw, *others)
 
     with patch.object(trainer.field, "color", counted):
         (timed,) = time_steps([trainer], sizes.at, 0, sizes.steps)

@@ -16,6 +16,9 @@ from nerfreg.registry import Hooks, Term
 from nerfreg.rendering.renderer import Renderer
 from nerfreg.training.loss import label, loss_terms, total_loss
 
+UNKNOWN_IS_NAN = ("known_depth", "pixel")
+"""The attributes of rays that are NaN where nothing is known."""
+
 
 @dataclass(frozen=True)
 class Fault:
@@ -64,6 +67,7 @@ def rendering_faults(rendering: Rendering) -> list[Fault]:
         Fault(f"value of {owner}.{field.name}", line)
         for owner, whole in (("rays", rendering.rays), ("rendering", rendering))
         for field in fields(whole)
+        if field.name not in UNKNOWN_IS_NAN
         if isinstance(part := getattr(whole, field.name), Tensor)
         for line in not_finite(field.name, part)
     ]
