@@ -33,14 +33,14 @@ and three fractions (11 kB) stay in the first-level cache until they are used.""
 
 # Fused multiply-adds and the sign of zero may differ from strict arithmetic. Reordering of sums is
 # not allowed, so that results do not depend on how a loop was vectorized, nor is the assumption
-# that no value is NaN, which could remove the guard in `_locate`. Without the interpreter lock
+# that no value is NaN, which could remove the guard in `locate`. Without the interpreter lock
 # `in_shares` can run kernels on several threads at once.
 COMPILED = {"fastmath": {"contract", "nsz"}, "nogil": True, "cache": True, "error_model": "numpy"}
 
 
 @no_type_check
 @njit(**COMPILED)
-def _locate(positions, start, count, cells, dense, mask, vertices, inside):
+def locate(positions, start, count, cells, dense, mask, vertices, inside):
     """Find the cells of a block of points: their vertices' entries, and the place inside the cell.
 
     Cells are clipped to the grid.
@@ -202,7 +202,7 @@ def forward_share(positions, table, offsets, resolutions, dense, mask, features,
         entries = table[offsets[level] : offsets[level + 1]]
         for start in range(first, stop, BLOCK):
             count = min(BLOCK, stop - start)
-            _locate(
+            locate(
                 positions, start, count, resolutions[level], dense[level], mask, vertices, inside
             )
             _gather(
@@ -244,7 +244,7 @@ def backward_table(positions, grad, offsets, resolutions, dense, mask, threads, 
             entries = table_grad[offsets[level] : offsets[level + 1]]
             for start in range(0, points, BLOCK):
                 count = min(BLOCK, points - start)
-                _locate(
+                locate(
                     positions,
                     start,
                     count,
@@ -279,5 +279,5 @@ def backward_positions(
             first, second = grad[2 * level], grad[2 * level + 1]
             for start in range(thread * share, stop, BLOCK):
                 count = min(BLOCK, stop - start)
-                _locate(positions, start, count, cells, dense[level], mask, vertices, inside)
+                locate(positions, start, count, cells, dense[level], mask, vertices, inside)
                 _slope(entries, vertices, inside, first, second, start, count, cells, position_grad)

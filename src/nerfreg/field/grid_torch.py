@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from torch import Tensor
 
 from nerfreg.field.grid_layout import PRIMES, GridLayout
@@ -17,7 +17,7 @@ def encode(
 ) -> Float[Tensor, "points features"]:
     """Interpolate the features of the coarsest levels trilinearly.
 
-    Differentiable with respect to both the table and the positions.
+    Differentiable with respect to both the table and the positions, any number of times.
 
     Args:
         positions: Positions in the unit cube, `(P, 3)`. Positions outside of it extrapolate the
@@ -41,13 +41,57 @@ def encode(
         fraction = (scaled - low)[:, None]
         vertices = low[:, None] + corners
         weights = torch.where(corners == 1, fraction, 1 - fraction).prod(dim=-1)
-        if layout.dense[level]:
-            x, y, z = vertices.unbind(-1)
-            index = x + (cells + 1) * (y + (cells + 1) * z)
-        else:
-            x, y, z = (vertices[..., axis] * PRIMES[axis] for axis in range(3))
-            # The table size is a power of two, so the mask is the modulo of the hash. It keeps low
-            # bits alone, which is why `grid_numba` may wrap around in 32 bits and find the same.
-            index = (x ^ y ^ z) & (2**layout.log2_entries - 1)
-        columns.append((weights[..., None] * table[index + int(layout.offsets[level])]).sum(dim=1))
+        index = entries(vertices, layout, level)
+        columns.append((weights[..., None] * table[index]).sum(dim=1))
     return torch.cat(columns, dim=1) if columns else positions.new_empty(len(positions), 0)
+
+
+def gradient(
+    positions: Float[Tensor, "points 3"],
+    grad: Float[Tensor, "points features"],
+    table: Float[Tensor, "entries 2"],
+    layout: GridLayout,
+) -> Float[Tensor, "points 3"]:
+    """Take a gradient by the features to the positions.
+
+    Args:
+        positions: Positions in the unit cube, `(P, 3)`.
+        grad: Gradient by the features of the coarsest levels, `(P, 2 * levels)`.
+        table: The features of all levels, `(E, 2)`.
+        layout: Resolutions of the levels and their places in the table.
+
+    Returns:
+        The sum over the features of `grad` times the derivative of the feature, `(P, 3)`,
+        differentiable by all three tensors.
+    """
+    if not grad.shape[1]:
+        return torch.zeros_like(positions)
+    recorded = torch.is_grad_enabled()
+    with torch.enable_grad():
+        if not positions.requires_grad:
+            positions = positions.detach().requires_grad_()
+        features = encode(positions, table, layout, grad.shape[1] // 2)
+        return torch.autograd.grad(features, positions, grad, create_graph=recorded)[0]
+
+
+def entries(
+    vertices: Int[Tensor, "*any 3"], layout: GridLayout, level: int
+) -> Int[Tensor, "*any"]:
+    """Find the table entries of vertices of a level.
+
+    Args:
+        vertices: Integer coordinates, 0 to the resolution of the level, `(..., 3)`.
+        layout: Resolutions of the levels and their places in the table.
+        level: Number of the level, from the coarsest.
+
+    Returns:
+        Rows of the table of all levels, `(...)`.
+    """
+    offset, side = int(layout.offsets[level]), int(layout.resolutions[level]) + 1
+    x, y, z = vertices.long().unbind(-1)
+    if layout.dense[level]:
+        return x + side * (y + side * z) + offset
+    # The table size is a power of two, so the mask is the modulo of the hash. It keeps low bits
+    # alone, which is why `grid_kernels` may wrap around in 32 bits and find the same.
+    x, y, z = x * PRIMES[0], y * PRIMES[1], z * PRIMES[2]
+    return ((x ^ y ^ z) & (2**layout.log2_entries - 1)) + offset
