@@ -155,7 +155,9 @@ def directional(positions, table, vectors, offsets, resolutions, dense, mask, th
 
 @no_type_check
 @njit(parallel=True, **COMPILED)
-def directional_table(positions, grad, vectors, offsets, resolutions, dense, mask, threads, table_grad):
+def directional_table(
+    positions, grad, vectors, offsets, resolutions, dense, mask, threads, table_grad
+):
     """Add the gradient by the table to `table_grad`; each thread takes some of the levels."""
     points, levels = positions.shape[1], len(grad) // 2
     for thread in prange(threads):

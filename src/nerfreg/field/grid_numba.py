@@ -10,7 +10,7 @@ and stores of consecutive points are contiguous.
 
 from __future__ import annotations
 
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 import torch
@@ -21,7 +21,7 @@ from torch import Tensor
 from nerfreg.errors import NerfregError
 from nerfreg.field import grid_kernels, grid_kernels_second
 from nerfreg.field.grid_layout import FEATURES, GridLayout
-from nerfreg.field.grid_shared import SharedTable, wanted
+from nerfreg.field.grid_shared import SharedTable, apply, wanted
 
 
 def encode(
@@ -45,7 +45,7 @@ def encode(
     """
     shared = table if isinstance(table, SharedTable) else SharedTable(table)
     rows = positions.t().contiguous()
-    features = cast(Tensor, _Encode.apply(rows, shared.table, shared, layout, levels))
+    features = apply(_Encode, rows, shared.table, shared, layout, levels)
     # A view: the matrix products of the network take either layout, so nothing is copied.
     return features.t()
 
@@ -70,7 +70,7 @@ def gradient(
     """
     shared = table if isinstance(table, SharedTable) else SharedTable(table)
     rows, grads = positions.t().contiguous(), grad.t().contiguous()
-    return cast(Tensor, _Gradient.apply(rows, grads, shared.table, shared, layout)).t()
+    return apply(_Gradient, rows, grads, shared.table, shared, layout).t()
 
 
 class _Encode(torch.autograd.Function):
@@ -104,13 +104,13 @@ class _Encode(torch.autograd.Function):
         grad = grads[0].contiguous()
         position_grad = table_grad = None
         if wanted(ctx, 1) and torch.is_grad_enabled():
-            table_grad = _Scatter.apply(positions, grad, len(table), ctx.layout)
+            table_grad = apply(_Scatter, positions, grad, len(table), ctx.layout)
         elif wanted(ctx, 1):
             buffer, new = ctx.shared.buffer()
             _scatter(positions, grad, ctx.layout, buffer)
             table_grad = buffer if new else None
         if wanted(ctx, 0):
-            position_grad = _Gradient.apply(positions, grad, table, ctx.shared, ctx.layout)
+            position_grad = apply(_Gradient, positions, grad, table, ctx.shared, ctx.layout)
         return position_grad, table_grad, None, None, None
 
 
@@ -134,10 +134,10 @@ class _Scatter(torch.autograd.Function):
         shared = SharedTable(grads[0].contiguous())
         position_grad = grad_grad = None
         if wanted(ctx, 0):
-            position_grad = _Gradient.apply(positions, grad, shared.table, shared, ctx.layout)
+            position_grad = apply(_Gradient, positions, grad, shared.table, shared, ctx.layout)
         if wanted(ctx, 1):
             levels = len(grad) // FEATURES
-            grad_grad = _Encode.apply(positions, shared.table, shared, ctx.layout, levels)
+            grad_grad = apply(_Encode, positions, shared.table, shared, ctx.layout, levels)
         return position_grad, grad_grad, None, None
 
 
@@ -186,10 +186,10 @@ class _Gradient(torch.autograd.Function):
             buffer, new = (torch.zeros(table.shape), True) if recorded else ctx.shared.buffer()
             grid_kernels_second.directional_table(at, _array(grad), *arguments, _pairs(buffer))
             table_grad = buffer if new else None
-        results = (position_grad, grad_grad, table_grad)
+        results = [position_grad, grad_grad, table_grad]
         if torch.is_grad_enabled():
-            sources = (along, positions, grad, table)
-            results = tuple(r if r is None else _Last.apply(r, *sources) for r in results)
+            sources = along, positions, grad, table
+            results = [r if r is None else apply(_Last, r, *sources) for r in results]
         return *results, None, None
 
 
@@ -220,7 +220,7 @@ def _scatter(positions: Tensor, grad: Tensor, layout: GridLayout, table_grad: Te
 
 
 def _array(values: Tensor) -> np.ndarray:
-    return cast(np.ndarray, values.detach().numpy())
+    return values.detach().numpy()
 
 
 def _pairs(table: Tensor) -> np.ndarray:

@@ -28,8 +28,7 @@ class SharedTable:
         """Put the shared node on top of the table."""
         self._buffer: Tensor | None = None
         self._source, self._version = table, table._version
-        apply: Callable[..., Tensor] = _Share.apply
-        self.table = apply(table, self)
+        self.table = apply(_Share, table, self)
 
     def serves(self, table: Float[Tensor, "entries 2"]) -> bool:
         """Return whether this is still the given parameter: same memory, values and gradient."""
@@ -91,3 +90,9 @@ def wanted(ctx: Any, argument: int) -> bool:
         ctx.needs_input_grad[argument]
         and torch._C._will_engine_execute_node(ctx.next_functions[argument][0])
     )
+
+
+def apply(operation: type[torch.autograd.Function], *arguments: Any) -> Tensor:
+    """Call an operation of autograd that returns one tensor, which torch leaves without types."""
+    call: Callable[..., Tensor] = operation.apply
+    return call(*arguments)

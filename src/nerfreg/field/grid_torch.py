@@ -41,7 +41,7 @@ def encode(
         fraction = (scaled - low)[:, None]
         vertices = low[:, None] + corners
         weights = torch.where(corners == 1, fraction, 1 - fraction).prod(dim=-1)
-        index = entries(vertices, layout, level)
+        index = entries(vertices, layout, level) + int(layout.offsets[level])
         columns.append((weights[..., None] * table[index]).sum(dim=1))
     return torch.cat(columns, dim=1) if columns else positions.new_empty(len(positions), 0)
 
@@ -74,10 +74,8 @@ def gradient(
         return torch.autograd.grad(features, positions, grad, create_graph=recorded)[0]
 
 
-def entries(
-    vertices: Int[Tensor, "*any 3"], layout: GridLayout, level: int
-) -> Int[Tensor, "*any"]:
-    """Find the table entries of vertices of a level.
+def entries(vertices: Int[Tensor, "*any 3"], layout: GridLayout, level: int) -> Int[Tensor, "*any"]:
+    """Find the entries of vertices within a level.
 
     Args:
         vertices: Integer coordinates, 0 to the resolution of the level, `(..., 3)`.
@@ -85,13 +83,30 @@ def entries(
         level: Number of the level, from the coarsest.
 
     Returns:
-        Rows of the table of all levels, `(...)`.
+        The numbers of the entries, `(...)`.
     """
-    offset, side = int(layout.offsets[level]), int(layout.resolutions[level]) + 1
     x, y, z = vertices.long().unbind(-1)
     if layout.dense[level]:
-        return x + side * (y + side * z) + offset
+        side = int(layout.resolutions[level]) + 1
+        return x + side * (y + side * z)
     # The table size is a power of two, so the mask is the modulo of the hash. It keeps low bits
-    # alone, which is why `grid_kernels` may wrap around in 32 bits and find the same.
+    # alone, which is why the kernels may wrap around in 32 bits and find the same.
     x, y, z = x * PRIMES[0], y * PRIMES[1], z * PRIMES[2]
-    return ((x ^ y ^ z) & (2**layout.log2_entries - 1)) + offset
+    hashed: Tensor = (x ^ y ^ z) & (2**layout.log2_entries - 1)
+    return hashed
+
+
+def gather(
+    table: Float[Tensor, "entries 2"], rows: Int[Tensor, " vertices"]
+) -> Float[Tensor, "vertices 2"]:
+    """Return the features of entries, `(N, 2)`."""
+    return table[rows]
+
+
+def add(
+    table_grad: Float[Tensor, "entries 2"],
+    rows: Int[Tensor, " vertices"],
+    grad: Float[Tensor, "vertices 2"],
+) -> None:
+    """Add a gradient by the features, `(N, 2)`, to the gradient of the entries."""
+    table_grad.index_put_((rows,), grad, accumulate=True)
