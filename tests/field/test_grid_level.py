@@ -5,12 +5,13 @@ from __future__ import annotations
 import copy
 import pickle
 
+import numba
 import pytest
 import torch
 from torch import Tensor
 
 from nerfreg.errors import NerfregError
-from nerfreg.field import grid_lookup, grid_torch
+from nerfreg.field import grid_torch
 from nerfreg.field.grid import HashGrid
 from nerfreg.field.grid_layout import GridLayout
 from nerfreg.field.grid_shared import SharedTable
@@ -55,14 +56,58 @@ def test_a_dense_level_is_stored_fastest_in_x() -> None:
     assert torch.equal(level.features(vertex), level.table[1 + side * (2 + side * 3)])
 
 
-def test_compiled_and_plain_find_the_same_entries() -> None:
-    for log2_entries in (10, 19):
-        layout = GridLayout(levels=4, base=16, finest=65536, log2_entries=log2_entries)
-        for level, cells in enumerate(layout.resolutions.tolist()):
-            vertices = torch.randint(0, cells + 1, (1000, 3))
-            vertices[0] = cells
-            compiled = grid_lookup.entries(vertices, layout, level)
-            assert torch.equal(compiled.long(), grid_torch.entries(vertices, layout, level))
+@pytest.mark.parametrize("log2_entries", [10, 19])
+def test_compiled_and_plain_find_the_same_entries(log2_entries: int) -> None:
+    # up to the finest resolution that a configuration may have, where products exceed 32 bits
+    layout = GridLayout(levels=4, base=16, finest=65536, log2_entries=log2_entries)
+    compiled, plain = HashGrid(layout), HashGrid(layout, "torch")
+    plain.load_state_dict(compiled.state_dict())
+    for one, other in zip(compiled.levels, plain.levels, strict=True):
+        vertices = torch.randint(0, one.resolution + 1, (1000, 3))
+        vertices[0] = one.resolution
+        assert torch.equal(one.features(vertices), other.features(vertices))
+        vertices = vertices.clamp_max(one.resolution - 1)
+        torch.testing.assert_close(
+            one.squared_differences(vertices), other.squared_differences(vertices)
+        )
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_squared_differences_are_those_of_four_lookups(backend: str) -> None:
+    made = grid(backend)
+    for level in made.levels:
+        vertices = torch.randint(0, level.resolution, (6, 50, 3))
+        vertices[0, :25] = vertices[0, 25:]
+        found = level.features(vertices[..., None, :] + torch.eye(4, dtype=torch.int64)[:, 1:])
+        by_hand = (found[..., 1:, :] - found[..., :1, :]).square().sum(dim=(-1, -2))
+        values = level.squared_differences(vertices)
+        torch.testing.assert_close(values, by_hand)
+        weights = torch.randn(6, 50)
+        torch.testing.assert_close(
+            *(torch.autograd.grad(v, made.table, weights)[0] for v in (values, by_hand)),
+            rtol=1e-5,
+            atol=1e-4,
+        )
+        int32 = level.squared_differences(vertices.int())
+        assert torch.equal(int32, values)
+
+
+def test_lookups_are_the_same_for_any_number_of_threads() -> None:
+    made, vertices = grid(), torch.randint(0, 64, (3001, 3))
+
+    def with_threads(count: int) -> list[Tensor]:
+        before = numba.get_num_threads()
+        numba.set_num_threads(count)
+        try:
+            level = made.levels[7]
+            values = [level.features(vertices), level.squared_differences(vertices)]
+            total = values[0].square().sum() + values[1].sum()
+            return [*values, *torch.autograd.grad(total, made.table)]
+        finally:
+            numba.set_num_threads(before)
+
+    alone, together = with_threads(1), with_threads(numba.config.NUMBA_NUM_THREADS)
+    assert all(torch.equal(*pair) for pair in zip(alone, together, strict=True))
 
 
 def losses(made: HashGrid, positions: Tensor, vertices: Tensor) -> dict[str, Tensor]:
@@ -187,9 +232,13 @@ def test_second_derivatives_by_lookups(backend: str) -> None:
 def test_vertices_outside_of_the_grid_are_refused(backend: str) -> None:
     level = grid(backend).levels[2]
     for vertex in ([-1, 0, 0], [0, 9, 0], [0, 0, 2**32]):
-        with pytest.raises(NerfregError, match="have coordinates 0 to 8, not"):
+        with pytest.raises(NerfregError, match="must have coordinates 0 to 8 here, not"):
             level.features(torch.tensor([vertex]))
-    assert level.features(torch.zeros(0, 3, dtype=torch.int64)).shape == (0, 2)
+    with pytest.raises(NerfregError, match=r"0 to 7 here, not 0 to 8: .* has 8 cells per side"):
+        level.squared_differences(torch.tensor([[0, 8, 0]]))
+    nothing = torch.zeros(0, 3, dtype=torch.int64)
+    assert level.features(nothing).shape == (0, 2)
+    assert level.squared_differences(nothing).shape == (0,)
 
 
 def test_a_grid_with_a_shared_table_can_be_copied_and_pickled() -> None:

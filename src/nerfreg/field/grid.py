@@ -10,9 +10,9 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from nerfreg.field import grid_lookup, grid_numba, grid_torch
+from nerfreg.field import grid_numba, grid_torch
 from nerfreg.field.grid_layout import FEATURES, GridLayout
-from nerfreg.field.grid_level import Entries, GridLevel
+from nerfreg.field.grid_level import GridLevel
 from nerfreg.field.grid_shared import SharedTable
 
 
@@ -91,7 +91,7 @@ class HashGrid(nn.Module):
     def levels(self) -> tuple[GridLevel, ...]:
         """The levels, coarsest first, for losses on the grid itself."""
         return tuple(
-            GridLevel(self.layout, level, self._share, self._entries)
+            GridLevel(self.layout, level, self._share, lambda: self._compiled(self.table))
             for level in range(self.layout.levels)
         )
 
@@ -102,9 +102,6 @@ class HashGrid(nn.Module):
         if self._latest is None or not self._latest.serves(self.table):
             self._latest = SharedTable(self.table)
         return self._latest
-
-    def _entries(self) -> Entries:
-        return grid_lookup if self._compiled(self.table) else grid_torch
 
     def _compiled(self, values: Tensor) -> bool:
         fits = values.device.type == "cpu" and values.dtype == torch.float32

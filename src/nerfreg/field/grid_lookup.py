@@ -1,88 +1,201 @@
-"""Compiled kernels that read single entries of the hash grid's table and add to them.
-
-Their plain counterparts are in `grid_torch`. A level's part of the table is `(E, 2)`, float32 on
-the CPU; `rows` `(N,)` are the numbers of entries within the level.
-"""
+"""Reading values at vertices of one level of a hash grid, compiled, with its own backward pass."""
 
 from __future__ import annotations
 
-from typing import no_type_check
+from collections.abc import Callable
+from typing import Any, NamedTuple, no_type_check
 
 import numpy as np
 import torch
-from jaxtyping import Float, Int
-from numba import njit
+from jaxtyping import Int
+from numba import get_num_threads, njit, prange
 from torch import Tensor
 
+from nerfreg.field import grid_torch
 from nerfreg.field.grid_kernels import COMPILED, PRIME_Y, PRIME_Z
 from nerfreg.field.grid_layout import FEATURES, GridLayout
+from nerfreg.field.grid_shared import SharedTable, apply
 
 
-def entries(
-    vertices: Int[Tensor, "vertices 3"], layout: GridLayout, level: int
-) -> Int[Tensor, " vertices"]:
-    """Find the entries of vertices within a level, as `grid_torch.entries` does.
+class Lookup(NamedTuple):
+    """Something that can be read at vertices, plain and compiled.
+
+    Attributes:
+        plain: The function in plain torch: of the level's table, `(E, 2)`, vertices `(N, 3)`, the
+            layout and the number of the level.
+        shape: Shape of what it returns for one vertex.
+        read: Writes the values. Its arguments are the level's table, `(E,)`, the two features of an
+            entry as one complex number; the vertices; resolution, whether the level is dense, mask
+            of the hash; the number of threads; the values.
+        add: Adds the gradient of the entries. Its arguments are that gradient, `(E,)`; the level's
+            table; vertices, resolution, whether dense, mask; the gradient by the values.
+    """
+
+    plain: Callable[[Tensor, Tensor, GridLayout, int], Tensor]
+    shape: tuple[int, ...]
+    read: Callable[..., None]
+    add: Callable[..., None]
+
+
+def read(
+    lookup: Lookup,
+    shared: SharedTable,
+    vertices: Int[Tensor, "vertices 3"],
+    layout: GridLayout,
+    level: int,
+) -> Tensor:
+    """Read at vertices of a level.
 
     Args:
-        vertices: Integer coordinates, 0 to the resolution of the level, `(N, 3)`.
+        lookup: What to read.
+        shared: The table of all levels, float32 on the CPU.
+        vertices: Integer coordinates, `(N, 3)`; they must lie in the grid.
         layout: Resolutions of the levels and their places in the table.
         level: Number of the level, from the coarsest.
 
     Returns:
-        The numbers of the entries, `(N,)`, int32.
+        The values, `(N, ...)`, differentiable by the table.
     """
-    rows = torch.empty(len(vertices), dtype=torch.int32)
-    cells, dense = np.int32(layout.resolutions[level]), bool(layout.dense[level])
+    return apply(_Read, shared.table, shared, vertices.contiguous(), lookup, layout, level)
+
+
+class _Read(torch.autograd.Function):
+    """A lookup whose gradient is added to the shared buffer."""
+
+    @staticmethod
+    def forward(
+        ctx: Any,
+        table: Tensor,
+        shared: SharedTable,
+        vertices: Tensor,
+        lookup: Lookup,
+        layout: GridLayout,
+        level: int,
+    ) -> Tensor:
+        values = torch.empty(len(vertices), *lookup.shape)
+        lookup.read(
+            _pairs(table, layout, level),
+            vertices.numpy(),
+            *_arguments(layout, level),
+            get_num_threads(),
+            values.numpy(),
+        )
+        ctx.save_for_backward(table, vertices)
+        ctx.shared, ctx.lookup, ctx.layout, ctx.level = shared, lookup, layout, level
+        return values
+
+    @staticmethod
+    def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor | None, ...]:
+        table, vertices = ctx.saved_tensors
+        layout, level = ctx.layout, ctx.level
+        nothing = (None,) * 5
+        if torch.is_grad_enabled():
+            # Second derivatives are rare here. The plain function has them.
+            first, stop = layout.offsets[level : level + 2]
+            values = ctx.lookup.plain(table[first:stop], vertices, layout, level)
+            return *torch.autograd.grad(values, table, grads[0], create_graph=True), *nothing
+        buffer, new = ctx.shared.buffer()
+        ctx.lookup.add(
+            _pairs(buffer, layout, level),
+            _pairs(table, layout, level),
+            vertices.numpy(),
+            *_arguments(layout, level),
+            grads[0].contiguous().numpy(),
+        )
+        return buffer if new else None, *nothing
+
+
+def _pairs(table: Tensor, layout: GridLayout, level: int) -> np.ndarray:
+    first, stop = layout.offsets[level : level + 2]
+    return table.detach().numpy().view(np.complex64)[first:stop, 0]
+
+
+def _arguments(layout: GridLayout, level: int) -> tuple[np.int32, bool, np.int32]:
+    # Plain numbers, since compiled code knows no dataclass.
     mask = np.int32(2**layout.log2_entries - 1)
-    _find(vertices.contiguous().numpy(), cells, dense, mask, rows.numpy())
-    return rows
+    return np.int32(layout.resolutions[level]), bool(layout.dense[level]), mask
 
 
-def gather(
-    table: Float[Tensor, "entries 2"], rows: Int[Tensor, " vertices"]
-) -> Float[Tensor, "vertices 2"]:
-    """Return the features of entries, `(N, 2)`."""
-    features = torch.empty(len(rows), FEATURES)
-    _gather(_pairs(table), rows.numpy(), _pairs(features))
-    return features
+@no_type_check
+@njit(inline="always", **COMPILED)
+def _entry(vertices, p, cells, dense, mask):
+    """Return the entry of vertex `p`."""
+    i, j, k = np.int32(vertices[p, 0]), np.int32(vertices[p, 1]), np.int32(vertices[p, 2])
+    if dense:
+        side = cells + np.int32(1)
+        return np.uint32(i + side * (j + side * k))
+    return np.uint32((i ^ (j * PRIME_Y) ^ (k * PRIME_Z)) & mask)
 
 
-def add(
-    table_grad: Float[Tensor, "entries 2"],
-    rows: Int[Tensor, " vertices"],
-    grad: Float[Tensor, "vertices 2"],
-) -> None:
-    """Add a gradient by the features, `(N, 2)`, to the gradient of the entries."""
-    _add(_pairs(table_grad), rows.numpy(), _pairs(grad.contiguous()))
+@no_type_check
+@njit(inline="always", **COMPILED)
+def _corner(vertices, p, cells, dense, mask):
+    """Return the entries of vertex `p` and of the next ones along x, y and z."""
+    i, j, k = np.int32(vertices[p, 0]), np.int32(vertices[p, 1]), np.int32(vertices[p, 2])
+    one, side = np.int32(1), cells + np.int32(1)
+    if dense:
+        e = i + side * (j + side * k)
+        return np.uint32(e), np.uint32(e + one), np.uint32(e + side), np.uint32(e + side * side)
+    y, z = j * PRIME_Y, k * PRIME_Z
+    return (
+        np.uint32((i ^ y ^ z) & mask),
+        np.uint32(((i + one) ^ y ^ z) & mask),
+        np.uint32((i ^ (y + PRIME_Y) ^ z) & mask),
+        np.uint32((i ^ y ^ (z + PRIME_Z)) & mask),
+    )
 
 
-def _pairs(values: Tensor) -> np.ndarray:
-    # Both features as one complex number, so that one load of 8 bytes fetches both.
-    return values.detach().numpy().view(np.complex64)[:, 0]
+@no_type_check
+@njit(parallel=True, **COMPILED)
+def _read_features(table, vertices, cells, dense, mask, threads, values):
+    share = (len(vertices) + threads - 1) // threads
+    for thread in prange(threads):
+        for p in range(thread * share, min(len(vertices), (thread + 1) * share)):
+            entry = table[_entry(vertices, p, cells, dense, mask)]
+            values[p, 0], values[p, 1] = entry.real, entry.imag
 
 
 @no_type_check
 @njit(**COMPILED)
-def _find(vertices, cells, dense, mask, rows):
-    side = cells + np.int32(1)
-    for p in range(len(rows)):
-        i, j, k = np.int32(vertices[p, 0]), np.int32(vertices[p, 1]), np.int32(vertices[p, 2])
-        if dense:
-            rows[p] = i + side * (j + side * k)
-        else:
-            rows[p] = (i ^ (j * PRIME_Y) ^ (k * PRIME_Z)) & mask
+def _add_features(table_grad, table, vertices, cells, dense, mask, grad):
+    # On one thread, one after the other: an entry may come more than once, and the order of the
+    # additions must not depend on the number of threads.
+    for p in range(len(vertices)):
+        table_grad[_entry(vertices, p, cells, dense, mask)] += complex(grad[p, 0], grad[p, 1])
+
+
+@no_type_check
+@njit(parallel=True, **COMPILED)
+def _read_squares(table, vertices, cells, dense, mask, threads, values):
+    share = (len(vertices) + threads - 1) // threads
+    for thread in prange(threads):
+        for p in range(thread * share, min(len(vertices), (thread + 1) * share)):
+            e, ex, ey, ez = _corner(vertices, p, cells, dense, mask)
+            here = table[e]
+            x, y, z = table[ex] - here, table[ey] - here, table[ez] - here
+            values[p] = (
+                (x.real * x.real + x.imag * x.imag)
+                + (y.real * y.real + y.imag * y.imag)
+                + (z.real * z.real + z.imag * z.imag)
+            )
 
 
 @no_type_check
 @njit(**COMPILED)
-def _gather(table, rows, features):
-    for p in range(len(rows)):
-        features[p] = table[np.uint32(rows[p])]
+def _add_squares(table_grad, table, vertices, cells, dense, mask, grad):
+    for p in range(len(vertices)):
+        e, ex, ey, ez = _corner(vertices, p, cells, dense, mask)
+        here, twice = table[e], np.float32(2) * grad[p]
+        x, y, z = table[ex] - here, table[ey] - here, table[ez] - here
+        table_grad[ex] += complex(twice * x.real, twice * x.imag)
+        table_grad[ey] += complex(twice * y.real, twice * y.imag)
+        table_grad[ez] += complex(twice * z.real, twice * z.imag)
+        real, imag = x.real + y.real + z.real, x.imag + y.imag + z.imag
+        table_grad[e] -= complex(twice * real, twice * imag)
 
 
-@no_type_check
-@njit(**COMPILED)
-def _add(table_grad, rows, grad):
-    # One after the other: an entry may come more than once.
-    for p in range(len(rows)):
-        table_grad[np.uint32(rows[p])] += grad[p]
+VERTEX_FEATURES = Lookup(grid_torch.vertex_features, (FEATURES,), _read_features, _add_features)
+"""The features of vertices, `(N, 2)`."""
+
+SQUARED_DIFFERENCES = Lookup(grid_torch.squared_differences, (), _read_squares, _add_squares)
+"""The squared differences from vertices to the next ones, `(N,)`."""

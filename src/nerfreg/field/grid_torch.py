@@ -96,17 +96,45 @@ def entries(vertices: Int[Tensor, "*any 3"], layout: GridLayout, level: int) -> 
     return hashed
 
 
-def gather(
-    table: Float[Tensor, "entries 2"], rows: Int[Tensor, " vertices"]
+def vertex_features(
+    table: Float[Tensor, "entries 2"],
+    vertices: Int[Tensor, "vertices 3"],
+    layout: GridLayout,
+    level: int,
 ) -> Float[Tensor, "vertices 2"]:
-    """Return the features of entries, `(N, 2)`."""
-    return table[rows]
+    """Look up the features of vertices of a level.
+
+    Args:
+        table: The features of that level alone, `(E, 2)`.
+        vertices: Integer coordinates, 0 to the resolution of the level, `(N, 3)`.
+        layout: Resolutions of the levels and their places in the table.
+        level: Number of the level, from the coarsest.
+
+    Returns:
+        The features, `(N, 2)`.
+    """
+    features: Tensor = table[entries(vertices, layout, level)]
+    return features
 
 
-def add(
-    table_grad: Float[Tensor, "entries 2"],
-    rows: Int[Tensor, " vertices"],
-    grad: Float[Tensor, "vertices 2"],
-) -> None:
-    """Add a gradient by the features, `(N, 2)`, to the gradient of the entries."""
-    table_grad.index_put_((rows,), grad, accumulate=True)
+def squared_differences(
+    table: Float[Tensor, "entries 2"],
+    vertices: Int[Tensor, "vertices 3"],
+    layout: GridLayout,
+    level: int,
+) -> Float[Tensor, " vertices"]:
+    """Compute how much the features change from vertices to the next ones along x, y and z.
+
+    Args:
+        table: The features of that level alone, `(E, 2)`.
+        vertices: Integer coordinates, 0 to the resolution of the level minus 1, `(N, 3)`.
+        layout: Resolutions of the levels and their places in the table.
+        level: Number of the level, from the coarsest.
+
+    Returns:
+        The squared differences, summed over features and axes, `(N,)`.
+    """
+    steps = torch.eye(3, dtype=torch.int64, device=vertices.device)
+    here = table[entries(vertices, layout, level)]
+    following = table[entries(vertices[:, None] + steps, layout, level)]
+    return (following - here[:, None]).square().sum(dim=(1, 2))
