@@ -29,7 +29,7 @@ def grid(backend: str = "numba", dtype: torch.dtype = torch.float32) -> HashGrid
 
 
 def test_levels_describe_the_layout() -> None:
-    levels = grid().levels
+    levels = grid().tables
     assert [level.resolution for level in levels] == LAYOUT.resolutions.tolist()
     # (4+1)^3 = 125, (5+1)^3 = 216, (8+1)^3 = 729 fit into 2^10 entries, (13+1)^3 does not
     assert [level.entries for level in levels] == [125, 216, 729, *[1024] * 5]
@@ -39,7 +39,7 @@ def test_levels_describe_the_layout() -> None:
 @pytest.mark.parametrize("backend", BACKENDS)
 def test_features_of_a_vertex_are_what_the_encoding_has_there(backend: str) -> None:
     made = grid(backend)
-    for number, level in enumerate(made.levels):
+    for number, level in enumerate(made.tables):
         vertices = torch.randint(0, level.resolution + 1, (4, 5, 3))
         vertices[0, 0], vertices[0, 1] = 0, level.resolution
         # halfway into no cell: the position of a vertex, as exactly as float32 has it
@@ -51,7 +51,7 @@ def test_features_of_a_vertex_are_what_the_encoding_has_there(backend: str) -> N
 
 
 def test_a_dense_level_is_stored_fastest_in_x() -> None:
-    level = grid().levels[1]
+    level = grid().tables[1]
     side, vertex = 6, torch.tensor([1, 2, 3])
     assert torch.equal(level.features(vertex), level.table[1 + side * (2 + side * 3)])
 
@@ -62,7 +62,7 @@ def test_compiled_and_plain_find_the_same_entries(log2_entries: int) -> None:
     layout = GridLayout(levels=4, base=16, finest=65536, log2_entries=log2_entries)
     compiled, plain = HashGrid(layout), HashGrid(layout, "torch")
     plain.load_state_dict(compiled.state_dict())
-    for one, other in zip(compiled.levels, plain.levels, strict=True):
+    for one, other in zip(compiled.tables, plain.tables, strict=True):
         vertices = torch.randint(0, one.resolution + 1, (1000, 3))
         vertices[0] = one.resolution
         assert torch.equal(one.features(vertices), other.features(vertices))
@@ -75,7 +75,7 @@ def test_compiled_and_plain_find_the_same_entries(log2_entries: int) -> None:
 @pytest.mark.parametrize("backend", BACKENDS)
 def test_squared_differences_are_those_of_four_lookups(backend: str) -> None:
     made = grid(backend)
-    for level in made.levels:
+    for level in made.tables:
         vertices = torch.randint(0, level.resolution, (6, 50, 3))
         vertices[0, :25] = vertices[0, 25:]
         found = level.features(vertices[..., None, :] + torch.eye(4, dtype=torch.int64)[:, 1:])
@@ -99,7 +99,7 @@ def test_lookups_are_the_same_for_any_number_of_threads() -> None:
         before = numba.get_num_threads()
         numba.set_num_threads(count)
         try:
-            level = made.levels[7]
+            level = made.tables[7]
             values = [level.features(vertices), level.squared_differences(vertices)]
             total = values[0].square().sum() + values[1].sum()
             return [*values, *torch.autograd.grad(total, made.table)]
@@ -112,7 +112,7 @@ def test_lookups_are_the_same_for_any_number_of_threads() -> None:
 
 def losses(made: HashGrid, positions: Tensor, vertices: Tensor) -> dict[str, Tensor]:
     """A loss of each kind by what it reads: encodings, entries, whole levels, the parameter."""
-    levels = made.levels
+    levels = made.tables
     with made.one_gradient():
         first, second = made(positions, 8), made(positions.flip(0), 5)
     found = [level.features(vertices % (level.resolution + 1)) for level in levels]
@@ -183,7 +183,7 @@ def test_lookups_of_a_step_make_one_buffer_with_the_encodings(
 
 def test_lookups_follow_the_parameter_through_steps() -> None:
     made = grid("auto")
-    levels, vertex = made.levels, torch.tensor([[1, 2, 3]])
+    levels, vertex = made.tables, torch.tensor([[1, 2, 3]])
     optimizer = torch.optim.SGD(made.parameters(), lr=0.25)
     for _ in range(3):
         before = levels[4].features(vertex).detach()
@@ -200,14 +200,14 @@ def test_lookups_follow_the_parameter_through_steps() -> None:
 
 def test_a_frozen_table_is_read_without_gradient_and_comes_back() -> None:
     made, vertex = grid(), torch.tensor([1, 2, 3])
-    made.levels[3].features(vertex).sum().backward()
+    made.tables[3].features(vertex).sum().backward()
     made.table.requires_grad_(False)
-    assert not made.levels[3].features(vertex).requires_grad
+    assert not made.tables[3].features(vertex).requires_grad
     made.table.requires_grad_(True)
-    assert made.levels[3].features(vertex).requires_grad
+    assert made.tables[3].features(vertex).requires_grad
     with torch.no_grad():
-        assert not made.levels[3].features(vertex).requires_grad
-        made.levels[3].table.zero_()
+        assert not made.tables[3].features(vertex).requires_grad
+        made.tables[3].table.zero_()
     first, stop = LAYOUT.offsets[3:5]
     assert not made.table[first:stop].any() and made.table[:first].all()
 
@@ -216,7 +216,7 @@ def test_a_frozen_table_is_read_without_gradient_and_comes_back() -> None:
 def test_second_derivatives_by_lookups(backend: str) -> None:
     # The gradient of the sum of cubes, 3 f^2, summed up and differentiated again: 6 f per use.
     made, vertices = grid(backend), torch.tensor([[1, 2, 3], [1, 2, 3], [4, 0, 4]])
-    level = made.levels[0]
+    level = made.tables[0]
     cubes = level.features(vertices).pow(3).sum() + level.table.pow(3).sum()
     (first,) = torch.autograd.grad(cubes, made.table, create_graph=True)
     (second,) = torch.autograd.grad(first.sum(), made.table)
@@ -230,7 +230,7 @@ def test_second_derivatives_by_lookups(backend: str) -> None:
 
 @pytest.mark.parametrize("backend", BACKENDS)
 def test_vertices_outside_of_the_grid_are_refused(backend: str) -> None:
-    level = grid(backend).levels[2]
+    level = grid(backend).tables[2]
     for vertex in ([-1, 0, 0], [0, 9, 0], [0, 0, 2**32]):
         with pytest.raises(NerfregError, match="must have coordinates 0 to 8 here, not"):
             level.features(torch.tensor([vertex]))
@@ -243,8 +243,27 @@ def test_vertices_outside_of_the_grid_are_refused(backend: str) -> None:
 
 def test_a_grid_with_a_shared_table_can_be_copied_and_pickled() -> None:
     made = grid()
-    made.levels[0].features(torch.tensor([1, 1, 1])).sum()
+    made.tables[0].features(torch.tensor([1, 1, 1])).sum()
     for other in (copy.deepcopy(made), pickle.loads(pickle.dumps(made))):
         assert torch.equal(other.table, made.table)
-        other.levels[0].features(torch.tensor([1, 1, 1])).sum().backward()
+        other.tables[0].features(torch.tensor([1, 1, 1])).sum().backward()
         assert other.table.grad is not None and made.table.grad is None
+
+
+def test_a_backward_pass_that_fails_leaves_nothing_for_the_next() -> None:
+    made, vertex = grid(), torch.tensor([[1, 2, 3]])
+    level = made.tables[5]
+    # The node that was made last runs first: that of the lookup has added its gradient when the
+    # other fails, and that of the shared table, which hands the gradient on, has not run.
+    level.features(vertex)
+    broken = torch.ones((), requires_grad=True) * 1
+
+    def fail(grad: Tensor) -> None:
+        raise RuntimeError("broken")
+
+    broken.register_hook(fail)
+    with pytest.raises(RuntimeError, match="broken"):
+        (broken + level.features(vertex).sum()).backward()
+    assert made.table.grad is None
+    level.features(vertex).sum().backward()
+    assert made.table.grad is not None and made.table.grad.sum() == 2

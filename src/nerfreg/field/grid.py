@@ -41,8 +41,8 @@ class HashGrid(nn.Module):
         """Let all encodings inside the block add their table gradients to one buffer.
 
         A step evaluates the grid twice, and a second buffer would have to be zeroed and added:
-        100 MB of writes at 2^19 entries. What `levels` reads later in the step uses the buffer,
-        too. With the torch backend the block has no effect.
+        100 MB of writes at 2^19 entries. What `gradient` and `tables` read later in the step is
+        added to the same buffer. With the torch backend the block has no effect on encodings.
         """
         if self._compiled(self.table) and torch.is_grad_enabled():
             self._shared = SharedTable(self.table)
@@ -84,12 +84,15 @@ class HashGrid(nn.Module):
             gradient save the cost of theirs.
         """
         if self._compiled(positions):
-            return grid_numba.gradient(positions, grad, self._shared or self.table, self.layout)
+            return grid_numba.gradient(positions, grad, self._share(), self.layout)
         return grid_torch.gradient(positions, grad, self.table, self.layout)
 
     @property
-    def levels(self) -> tuple[GridLevel, ...]:
-        """The levels, coarsest first, for losses on the grid itself."""
+    def tables(self) -> tuple[GridLevel, ...]:
+        """The levels, coarsest first, for losses on the grid itself.
+
+        With either backend, what all of them read in a step adds its gradient to one buffer.
+        """
         return tuple(
             GridLevel(self.layout, level, self._share, lambda: self._compiled(self.table))
             for level in range(self.layout.levels)
@@ -97,7 +100,8 @@ class HashGrid(nn.Module):
 
     def _share(self) -> SharedTable:
         """The latest shared table, or a new one where the parameter has changed since."""
-        if not torch.is_grad_enabled():
+        if not (torch.is_grad_enabled() and self.table.requires_grad):
+            # Made without a graph. What reads the table later and wants a gradient must not get it.
             return SharedTable(self.table)
         if self._latest is None or not self._latest.serves(self.table):
             self._latest = SharedTable(self.table)

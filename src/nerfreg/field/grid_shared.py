@@ -27,6 +27,7 @@ class SharedTable:
     def __init__(self, table: Float[Tensor, "entries 2"]) -> None:
         """Put the shared node on top of the table."""
         self._buffer: Tensor | None = None
+        self._pass = -1
         self._source, self._version = table, table._version
         self.table = apply(_Share, table, self)
 
@@ -47,9 +48,11 @@ class SharedTable:
         The operation that gets a new buffer must return it to autograd, and it alone: the others
         would make autograd add the buffer to itself.
         """
-        if self._buffer is not None:
+        # A pass that failed halfway has left its buffer behind, so each pass looks at its number.
+        running = torch._C._current_graph_task_id()
+        if self._buffer is not None and self._pass == running:
             return self._buffer, False
-        self._buffer = torch.zeros_like(self.table)
+        self._buffer, self._pass = torch.zeros_like(self.table), running
         # A pass that asks for other gradients only (torch.autograd.grad) never reaches `_Share`,
         # and the next pass must not go on adding to its buffer.
         torch.autograd.Variable._execution_engine.queue_callback(self.forget)
