@@ -53,6 +53,19 @@ class HashGrid(nn.Module):
         finally:
             self._shared = None
 
+    @contextmanager
+    def same_gradient(self) -> Iterator[None]:
+        """Let encodings inside the block add to the buffer of the latest `one_gradient`.
+
+        For points that a loss evaluates in a step whose rays have been rendered.
+        """
+        if self._compiled(self.table) and torch.is_grad_enabled():
+            self._shared = self._share()
+        try:
+            yield
+        finally:
+            self._shared = None
+
     def forward(
         self, positions: Float[Tensor, "points 3"], levels: int
     ) -> Float[Tensor, "points features"]:

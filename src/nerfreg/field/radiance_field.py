@@ -144,6 +144,10 @@ class RadianceField(nn.Module):
         """Let all encodings inside the block add to one gradient (`HashGrid.one_gradient`)."""
         return nullcontext() if self.grid is None else self.grid.one_gradient()
 
+    def same_gradient(self) -> AbstractContextManager[None]:
+        """Let encodings inside the block add to that gradient (`HashGrid.same_gradient`)."""
+        return nullcontext() if self.grid is None else self.grid.same_gradient()
+
     def unit(self, positions: Float[Tensor, "points 3"]) -> Float[Tensor, "points 3"]:
         """Map world positions to the unit cube that the encoder sees."""
         return (positions - self.center) / (2 * self.half_box) + 0.5

@@ -104,9 +104,7 @@ class HookSpecs:
         """
 
     @hookspec
-    def nerfreg_prepare(
-        self, photographs: Photographs
-    ) -> dict[str, Float[Tensor, "views height width *values"]] | None:
+    def nerfreg_prepare(self, photographs: Photographs) -> dict[str, Tensor] | None:
         """Find out something about each pixel of the training views, before the first step.
 
         Called once; the time it takes is training time. The answers come back with the rays of

@@ -41,6 +41,15 @@ class TableLevel(Protocol):
     def features(self, vertices: Int[Tensor, "*vertices 3"]) -> Float[Tensor, "*vertices 2"]:
         """Return the features of vertices, given as integers from 0 to `resolution`."""
 
+    def squared_differences(
+        self, vertices: Int[Tensor, "*vertices 3"]
+    ) -> Float[Tensor, "*vertices"]:
+        """Return how much features change from vertices to the next ones along x, y and z.
+
+        The squares are summed over features and axes; total variation is the mean of these, or of
+        their roots. Vertices are integers from 0 to `resolution - 1`.
+        """
+
 
 @runtime_checkable
 class FieldView(Protocol):
@@ -90,7 +99,7 @@ class RayRenderer(Protocol):
         rays: Rays,
         step: Step,
         like: Rendering | None = None,
-        shift: Float[Tensor, "rays samples 3"] | None = None,
+        shift: Float[Tensor, "*samples 3"] | None = None,
         density_only: bool = False,
     ) -> Rendering:
         """Render rays through the hooks.
@@ -100,7 +109,8 @@ class RayRenderer(Protocol):
             step: The step that they belong to.
             like: An earlier rendering of as many rays, whose t is taken over and for whose coloured
                 samples colours are evaluated; None: samples are drawn.
-            shift: (R, N, 3) what to add to the positions of the samples of `like`.
+            shift: What to add to the positions of the samples of `like`, in world units, of a shape
+                that broadcasts to (R, N, 3).
             density_only: Whether to leave out colours; `rgb` is NaN then.
         """
 
@@ -183,7 +193,7 @@ class Step:
         rendering: Rendering,
         *,
         rays: Rays | None = None,
-        shift: Float[Tensor, "rays samples 3"] | None = None,
+        shift: Float[Tensor, "*samples 3"] | None = None,
         density_only: bool = False,
         frozen: bool = False,
     ) -> Rendering:

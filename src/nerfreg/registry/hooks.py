@@ -199,8 +199,10 @@ class Hooks:
         hooks = ("nerfreg_prepare", "nerfreg_known_depth")
         return tuple(dict.fromkeys(name for hook in hooks for name in self._users[hook]))
 
-    def prepare(self, photographs: Photographs) -> dict[str, Float[Tensor, "v h w *values"]]:
+    def prepare(self, photographs: Photographs) -> dict[str, Tensor]:
         """Return what the selected plugins know of each training pixel, by "plugin.name".
+
+        Each has a value, or several, for each pixel: (V, H, W, ...).
 
         Args:
             photographs: The training views.
@@ -470,14 +472,19 @@ class Hooks:
         return error
 
     def owner(self, cls: type) -> str | None:
-        """Return the name of the plugin in whose module, or package, a class is defined."""
+        """Return the name of the plugin in whose module, or package, a class is defined.
+
+        Of several plugins there, one that makes modules is preferred.
+        """
+        makers = ("nerfreg_layer", "nerfreg_encoder", "nerfreg_module")
+        by_preference = sorted(
+            self.plugins, key=lambda name: not any(name in self._users[hook] for hook in makers)
+        )
+        # A package may lie in several modules, but all built-in plugins share one.
         for depth in (None, 1):
-            for name, plugin in self.plugins.items():
-                place = type(plugin).__module__.split(".")[:depth]
-                own = cls.__module__.split(".")[:depth]
-                if place == own and own[0] not in ("nerfreg", "torch", "nerfreg_plugins"):
-                    return name
-                if depth is None and place == own:
+            for name in by_preference:
+                place = type(self.plugins[name]).__module__.split(".")[:depth]
+                if place == cls.__module__.split(".")[:depth] and place != ["nerfreg_plugins"]:
                     return name
         return None
 

@@ -61,7 +61,7 @@ class Renderer:
         rays: Rays,
         step: Step,
         like: Rendering | None = None,
-        shift: Float[Tensor, "rays samples 3"] | None = None,
+        shift: Float[Tensor, "*samples 3"] | None = None,
         density_only: bool = False,
     ) -> Rendering:
         """Render rays through the hooks.
@@ -77,7 +77,8 @@ class Renderer:
             rays: R rays.
             step: The step that they belong to.
             like: An earlier rendering of as many rays.
-            shift: (R, N, 3) what to add to the positions of the samples of `like`.
+            shift: What to add to the positions of the samples of `like`, in world units, of a shape
+                that broadcasts to (R, N, 3).
             density_only: Whether to leave out colours; `rgb` is NaN then.
 
         Returns:

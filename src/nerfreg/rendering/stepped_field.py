@@ -36,12 +36,15 @@ class SteppedField:
     def encode(self, positions: Float[Tensor, "points 3"]) -> Float[Tensor, "points features"]:
         """Return the encoding of positions, with features that are silenced at 0."""
         seen = self._seen(positions)
-        return self._all_features(*self.field.encode(self.field.unit(seen[0]), seen[2]))
+        with self.field.same_gradient():
+            return self._all_features(*self.field.encode(self.field.unit(seen[0]), seen[2]))
 
     def density(self, positions: Float[Tensor, "points 3"]) -> Float[Tensor, " points"]:
         """Return the density per world unit, (P,)."""
         seen = self._seen(positions)
-        return self._but_empty(self.field.density(self.field.raw_density(seen[0], seen[2])), seen)
+        with self.field.same_gradient():
+            raw = self.field.raw_density(seen[0], seen[2])
+        return self._but_empty(self.field.density(raw), seen)
 
     def density_gradient(
         self, positions: Float[Tensor, "points 3"], create_graph: bool = True
@@ -63,7 +66,8 @@ class SteppedField:
         samples = self._samples(positions, directions)
         turned = samples.directions
         flat = turned if turned.dim() == 2 else turned.flatten(0, 1)
-        raw = self.field.raw_density(samples.positions.flatten(0, 1), samples.density_features)
+        with self.field.same_gradient():
+            raw = self.field.raw_density(samples.positions.flatten(0, 1), samples.density_features)
         encoded = self.field.encode_directions(flat)
         # Points of their own, at distance 0 of rays that begin there and belong to no view.
         here = torch.arange(len(positions), device=positions.device)
@@ -87,7 +91,8 @@ class SteppedField:
             return self._but_empty(gradient, seen)
         seen = self._seen(positions)
         unit = field.unit(seen[0])
-        features, scale = field.encode(unit, seen[2])
+        with field.same_gradient():
+            features, scale = field.encode(unit, seen[2])
         if not features.requires_grad:
             features = features.detach().requires_grad_()
         density = self._density_of(features, scale)
