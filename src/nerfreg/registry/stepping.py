@@ -1,0 +1,178 @@
+"""The hooks of a step, from its rays to its loss, and of evaluation."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from nerfreg.hooks import (
+    ColorSamples,
+    DensitySamples,
+    EvaluatedView,
+    Rays,
+    Rendering,
+    Samples,
+    Step,
+)
+from nerfreg.registry.caller import PluginCaller
+
+
+@dataclass(frozen=True)
+class Term:
+    """One term of the loss: `weight * value` is added to it.
+
+    Attributes:
+        plugin: Name of the plugin that returned it.
+        name: What the plugin calls it.
+        weight: Of the plugin.
+        value: The unweighted scalar.
+    """
+
+    plugin: str
+    name: str
+    weight: float
+    value: Tensor
+
+
+class SteppingHooks(PluginCaller):
+    """What plugins change and compute in a step, while their windows are open."""
+
+    def begin(self, step: Step) -> None:
+        """Set all fields that have a schedule to their values in this step."""
+        for plugin in self._scheduled:
+            plugin.follow_schedules(step)
+
+    def start(self, step: Step) -> None:
+        """Tell the selected plugins that the first step is about to be made."""
+        self._tell("nerfreg_start", self._users["nerfreg_start"], step)
+
+    def step_end(self, step: Step) -> None:
+        """Tell the active plugins that a step has been made."""
+        self._tell("nerfreg_step_end", self._active("nerfreg_step_end", step), step)
+
+    def end(self, step: Step) -> None:
+        """Tell the selected plugins that the last step has been made."""
+        self._tell("nerfreg_end", self._users["nerfreg_end"], step)
+
+    def rays(self, rays: Rays, step: Step) -> Rays:
+        """Return the rays as the plugins change them."""
+        active = self._active("nerfreg_rays", step)
+        if not active:
+            return rays
+        changed: Rays = self._ask("nerfreg_rays", active, {"rays": rays, "step": step})
+        return changed
+
+    def ray_bounds(self, rays: Rays, step: Step) -> tuple[Tensor, Tensor]:
+        """Return near and far of each ray, (R,) each."""
+        active = self._active("nerfreg_ray_bounds", step)
+        if not active:
+            return rays.near, rays.far
+        near, far = self._ask("nerfreg_ray_bounds", active, {"rays": rays, "step": step})
+        return near, far
+
+    def empty(
+        self, positions: Float[Tensor, "points 3"], step: Step
+    ) -> Bool[Tensor, " points"] | None:
+        """Return which positions are declared empty; None if no plugin declares any.
+
+        Raises:
+            PluginError: An answer does not have a truth value for each position.
+        """
+        empty: Tensor | None = None
+        for name in self._active("nerfreg_empty", step):
+            given = {"positions": positions, "step": step}
+            for answer in self._ask("nerfreg_empty", (name,), given):
+                if answer.dtype != torch.bool or answer.shape != positions.shape[:1]:
+                    found = f"{answer.dtype} {tuple(answer.shape)}"
+                    wrong = f"returned {found}; return booleans ({len(positions)},)"
+                    raise self._error("nerfreg_empty", (name,), step, wrong)
+                empty = answer if empty is None else empty | answer
+        return empty
+
+    def encoder_input(self, samples: Samples, step: Step) -> Samples:
+        """Return what the encoders see in place of `samples`."""
+        active = self._active("nerfreg_encoder_input", step)
+        if not active:
+            return samples
+        given = {"samples": samples, "step": step}
+        changed: Samples = self._ask("nerfreg_encoder_input", active, given)
+        return changed
+
+    def density(self, samples: DensitySamples, step: Step) -> Float[Tensor, "rays samples"]:
+        """Return the densities as the plugins change them."""
+        active = self._active("nerfreg_density", step)
+        if not active:
+            return samples.density
+        given = {"samples": samples, "step": step}
+        density: Tensor = self._ask("nerfreg_density", active, given)
+        return density
+
+    def color_input(
+        self, samples: ColorSamples, step: Step
+    ) -> Float[Tensor, "colored inputs"] | None:
+        """Return what the plugins add to the input of the colour network; None if they do not.
+
+        Raises:
+            PluginError: An answer does not have the width that its plugin declares.
+        """
+        parts = []
+        for name in self._users["nerfreg_color_input"]:
+            width = self.plugins[name].color_inputs
+            given = {"samples": samples, "step": step}
+            answers = self._ask("nerfreg_color_input", (name,), given)
+            found = [tuple(answer.shape) for answer in answers]
+            if found != [(len(samples.ray), width)]:
+                wrong = (
+                    f"returned shape {found[0] if found else None}, not {(len(samples.ray), width)}"
+                    "; the property color_inputs tells the width"
+                )
+                raise self._error("nerfreg_color_input", (name,), step, wrong)
+            parts += answers
+        return torch.cat(parts, dim=1) if parts else None
+
+    def rendering(self, rendering: Rendering, step: Step) -> Rendering:
+        """Return the rendering as the plugins change it."""
+        active = self._active("nerfreg_rendering", step)
+        if not active:
+            return rendering
+        given = {"rendering": rendering, "step": step}
+        changed: Rendering = self._ask("nerfreg_rendering", active, given)
+        return changed
+
+    def losses(self, rendering: Rendering, step: Step) -> list[Term]:
+        """Return all terms of the active plugins, unweighted, each with its plugin's weight.
+
+        Raises:
+            PluginError: A term is not a scalar tensor, or there is no dictionary of terms.
+        """
+        terms = []
+        for name in self._active("nerfreg_loss", step):
+            # One plugin at a time, because the answer does not say whose it is.
+            given = {"rendering": rendering, "step": step}
+            answers = self._ask("nerfreg_loss", (name,), given)
+            if not all(isinstance(values, dict) for values in answers) or not answers:
+                found = type(answers[0]).__name__ if answers else "None"
+                wrong = f"returned {found}; return a dictionary of terms, {{}} for none"
+                raise self._error("nerfreg_loss", (name,), step, wrong)
+            for term, value in answers[0].items():
+                if not isinstance(value, Tensor) or value.ndim != 0:
+                    found = (
+                        f"has shape {tuple(value.shape)}"
+                        if isinstance(value, Tensor)
+                        else f"is of type {type(value).__name__}"
+                    )
+                    wrong = f"term '{term}' {found}, return scalars, such as a mean over rays"
+                    raise self._error("nerfreg_loss", (name,), step, wrong)
+                terms.append(Term(name, term, float(self.plugins[name].weight), value))
+        return terms
+
+    def metrics(self, view: EvaluatedView, step: Step) -> dict[str, float]:
+        """Return what the selected plugins measure of a view, by "plugin.metric"."""
+        found: dict[str, float] = {}
+        for name in self._users["nerfreg_metrics"]:
+            for values in self._ask("nerfreg_metrics", (name,), {"view": view, "step": step}):
+                found |= {f"{name}.{metric}": float(value) for metric, value in values.items()}
+        return found
