@@ -44,6 +44,20 @@ def test_a_scene(write_run: Callable[..., Path], tmp_path: Path) -> None:
     assert not {"depth_rmse", "seconds_to_psnr"} & {column.key for column in table.columns}
 
 
+def test_what_plugins_measured_has_columns(write_run: Callable[..., Path], tmp_path: Path) -> None:
+    write_run("v")
+    for seed, degrees in enumerate((0.5, 1.5)):
+        measured = {"poses.degrees": degrees, "poses.unknown": None}
+        write_run(f"k{seed}", ["+reg=kl"], config=KL, seed=seed, metrics=measured)
+    (table,) = comparisons(collect([tmp_path]))
+    (column,) = (column for column in table.columns if column.key.startswith("metrics."))
+    assert (column.name, column.better) == ("poses.degrees", None)
+    found = cell(table, "kl", "metrics.poses.degrees")
+    # 0.5 and 1.5: mean 1, squares 0.25 + 0.25 over 1
+    assert (found.value, found.spread, found.count) == pytest.approx((1.0, math.sqrt(0.5), 2))
+    assert cell(table, "vanilla", "metrics.poses.degrees") == TableCell(None)
+
+
 def test_a_mean_of_fewer_runs_says_so(write_run: Callable[..., Path], tmp_path: Path) -> None:
     write_run("a")
     write_run("b", seed=1, lpips=None)

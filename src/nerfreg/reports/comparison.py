@@ -24,6 +24,8 @@ SCORES = (
     Column("LPIPS", "", ".3f", "down", "lpips"),
     Column("average", "", ".3f", "down", "average"),
 )
+MEASURED = "metrics."
+"""Beginning of the keys of columns that plugins have measured."""
 DEPTH = Column("depth RMSE", "", ".3f", "down", "depth_rmse")
 TRAIN = Column("train", "s", ".0f", "down", "train_seconds")
 SPEED = Column("points", "M/s", ".2f", "up", "million_points_per_second")
@@ -152,14 +154,23 @@ def _families(scenes: Sequence[_Scene]) -> list[tuple[str, list[_Scene]]]:
 def _columns(scenes: Sequence[_Scene], timed: str | None) -> tuple[Column, ...]:
     """Return the columns: depth errors only where the depth of every scene is known.
 
-    `timed` is the heading of seconds to a PSNR, if they are wanted.
+    What plugins measured has a column where every scene has a run with that plugin. `timed` is the
+    heading of seconds to a PSNR, if they are wanted.
     """
     finals = [[run.final for run in scene.runs if run.final] for scene in scenes]
     longest = max((final.train_seconds for own in finals for final in own), default=0.0)
     digits = ".0f" if longest >= 100 else ".1f" if longest >= 10 else ".3f"
     deep = all(any(final.depth_rmse is not None for final in own) for own in finals)
     reached = [replace(REACHED, name=timed, format=digits)] if timed else []
-    return (*SCORES, *[DEPTH][: int(deep)], replace(TRAIN, format=digits), SPEED, *reached)
+    names = [dict.fromkeys(name for final in own for name in final.metrics) for own in finals]
+    # A plugin does not say which direction is better, so that none is marked.
+    measured = [
+        Column(name, "", ".3g", None, MEASURED + name)
+        for name in (names[0] if names else ())
+        if all(name in own for own in names)
+    ]
+    costs = (replace(TRAIN, format=digits), SPEED, *reached)
+    return (*SCORES, *[DEPTH][: int(deep)], *measured, *costs)
 
 
 def _row(
@@ -178,6 +189,8 @@ def _cell(column: Column, runs: Sequence[NamedRun], target: float | None) -> Tab
 def _value(column: Column, run: NamedRun) -> float | None:
     if column.key == SPEED.key:
         return None if run.points_per_second is None else run.points_per_second / 1e6
+    if column.key.startswith(MEASURED):
+        return run.final.metrics.get(column.key.removeprefix(MEASURED)) if run.final else None
     return getattr(run.final, column.key, None)
 
 

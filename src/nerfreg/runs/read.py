@@ -96,7 +96,13 @@ def _evaluation(line: Mapping[str, Any], whole: bool) -> EvaluationRecord | None
     scores: dict[str, Any] = {metric: _number(line.get(metric)) for metric in records.METRICS}
     listed = line.get("test_views")
     views = len(listed) if isinstance(listed, Mapping) else 0
-    return replace(EvaluationRecord(int(step), seconds, views=views, whole=whole), **scores)
+    measured = {
+        str(name): number
+        for name, value in _mapping(line.get("metrics")).items()
+        if (number := _number(value)) is not None
+    }
+    record = EvaluationRecord(int(step), seconds, views=views, whole=whole, metrics=measured)
+    return replace(record, **scores)
 
 
 def _failure(folder: Path) -> str | None:

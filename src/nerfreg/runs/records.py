@@ -25,6 +25,7 @@ class EvaluationRecord:
         depth_rmse: In world units.
         views: How many test views were scored.
         whole: Whether these were all test views at full size, as at the end of a run.
+        metrics: What plugins measured, by "plugin.metric".
     """
 
     step: int
@@ -36,6 +37,7 @@ class EvaluationRecord:
     depth_rmse: float | None = None
     views: int = 0
     whole: bool = False
+    metrics: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
