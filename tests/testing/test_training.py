@@ -78,4 +78,7 @@ def test_wrong_answers_name_the_hook() -> None:
 
 def test_a_step_that_is_not_finite_fails() -> None:
     with pytest.raises(AssertionError, match=r"^expected a finite step, found step 0 left out"):
+        # The root of exactly 0 is 0, and its slope infinite.
+        run_steps(lambda opacity: (opacity - opacity.detach()).sqrt().mean(), 2)
+    with pytest.raises(NerfregError, match=r"nerfreg_loss at step 0: term 'loss' is nan$"):
         run_steps(lambda opacity: opacity.mean() * torch.nan, 2)

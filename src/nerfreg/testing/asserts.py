@@ -40,7 +40,7 @@ def assert_finite(
 
     Raises:
         AssertionError: A term or a gradient is not finite; names case, precision, size and term.
-        NerfregError: There is no such case.
+        NerfregError: There is no such case, or what the loss returns is no scalar.
     """
     subject, wrong = subject_of(loss), list[str]()
     dtypes = [name for name, known in DTYPES.items() if dtype in (None, known)]

@@ -92,8 +92,9 @@ def run_steps(
         seed: Seed of all randomness. The same seed gives the same weights.
 
     Raises:
-        AssertionError: The loss or a gradient is not finite in a step; names what.
-        NerfregError: A plugin returns what it must not; names the hook and the step.
+        AssertionError: A gradient is not finite in a step; names it.
+        NerfregError: A plugin returns what it must not, such as a term that is not finite; names
+            the hook and the step.
     """
     trainer = Trainer(
         small_scene() if scene is None else scene,
