@@ -8,10 +8,10 @@ from functools import cache, cached_property
 
 from nerfreg.errors import NerfregError
 from nerfreg.evaluation.scores import Scores, score_views
+from nerfreg.evaluation.trained import evaluated
 from nerfreg.field import FieldConfig, RadianceField
 from nerfreg.hooks import Regularizer
 from nerfreg.rendering.config import SamplerConfig
-from nerfreg.rendering.views import ViewRenderer
 from nerfreg.scenes import Scene
 from nerfreg.scenes.procedural import Procedural
 from nerfreg.testing.losses import Loss, as_plugin, name_of
@@ -63,13 +63,19 @@ class ShortRun:
 
     @cached_property
     def scores(self) -> Scores:
-        """Scores of the test views at full size, with averaged weights and without LPIPS."""
-        trainer = self.trainer
-        with trainer.average.applied():
-            renderer = ViewRenderer(trainer.field, trainer.renderer.sampler, trainer.scene)
-            cameras = trainer.scene.cameras
+        """Scores of the test views at full size, with averaged weights and without LPIPS.
+
+        What plugins measure themselves is in `metrics`, by "plugin.metric".
+        """
+        scene = self.scene
+        with evaluated(self.trainer) as trained:
+            renderer = trained.renderer()
             return score_views(
-                trainer.scene, trainer.scene.test, lambda view: renderer.view(cameras, view), None
+                scene,
+                scene.test,
+                lambda view: renderer.view(scene.cameras, view),
+                None,
+                measure=trained.measure,
             )
 
 
@@ -109,6 +115,7 @@ def run_steps(
     record = []
     while trainer.budget.fraction < 1:
         record.append({label(term): term.value.item() for term in trainer.step()})
+    trainer.end()
     return ShortRun(trainer, record)
 
 
