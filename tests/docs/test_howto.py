@@ -1,4 +1,4 @@
-"""The Python of the how-to pages for authors of plugins, and for other programs, runs as printed."""
+"""The Python of the how-to pages for plugins and for other programs runs as it is printed."""
 
 from __future__ import annotations
 
