@@ -6,7 +6,7 @@ import mpmath
 import pytest
 import torch
 
-from nerfreg.numerics import double, exact, log_alpha, one_minus_sum, single
+from nerfreg.numerics import double, exact, log_alpha, of_rays, one_minus_sum, ray_samples, single
 
 
 @pytest.mark.parametrize("tau", [1e-30, 1e-12, 1e-3, 0.5, 0.6931, 0.6932, 1.0, 20.0, 80.0, 1e4])
@@ -66,3 +66,19 @@ def test_nothing_is_minus_infinity_without_a_gradient() -> None:
     assert result[0] == -torch.inf
     torch.where(torch.isfinite(result), result, torch.zeros_like(result)).sum().backward()
     assert tau.grad is not None and tau.grad[0] == 0 and torch.isfinite(tau.grad).all()
+
+
+def test_a_last_axis_of_one_is_left_out() -> None:
+    depth = torch.rand(3, 1)
+    assert torch.equal(of_rays("depth", depth, 1), depth[:, 0])
+    assert of_rays("weights", torch.rand(3, 1), 2).shape == (3, 1)  # one sample, not one too many
+    weights, edges = ray_samples(torch.rand(3, 4, 1), torch.rand(3, 5))
+    assert (weights.shape, edges.shape) == ((3, 4), (3, 5))
+
+
+def test_another_shape_is_refused_by_name() -> None:
+    with pytest.raises(ValueError, match=r"^depth has shape \(3, 4\), not 1 axes$"):
+        of_rays("depth", torch.rand(3, 4), 1)
+    borders = r"^t_edges has shape \(3, 4\), not 2 axes, the last of them of length 5$"
+    with pytest.raises(ValueError, match=borders):
+        ray_samples(torch.rand(3, 4), torch.rand(3, 4))

@@ -13,12 +13,12 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from nerfreg import Needs, Regularizer, Rendering, Step, hookimpl
-from nerfreg.numerics import exact, single
+from nerfreg.numerics import exact, of_rays, single
 from nerfreg_plugins.references import depth_smoothness as reference
 
 
-def depth_smoothness(
-    depth_patches: Float[Tensor, "patches side side"],
+def depth_smoothness_loss(
+    depth_patches: Float[Tensor, "patches side side"] | Float[Tensor, "patches side side 1"],
     visible: Bool[Tensor, "patches side side"] | None = None,
     opacity: Float[Tensor, "patches side side"] | None = None,
 ) -> Float[Tensor, ""]:
@@ -27,12 +27,12 @@ def depth_smoothness(
     The sum runs over i, j = 1..S-1. Patches of one pixel, and no patches, give 0.
 
     Args:
-        depth_patches: `(P, S, S)`.
+        depth_patches: `(P, S, S)` or `(P, S, S, 1)`.
         visible: `(P, S, S)`; differences with a pixel that is not visible are left out. None: all
             are visible.
         opacity: `(P, S, S)`, a factor of both differences that start at pixel ij; 1 if None.
     """
-    depth_patches = single(depth_patches)
+    depth_patches = single(of_rays("depth_patches", depth_patches, 3))
     # What is not visible may have any depth, even infinity, whose difference times False is NaN.
     depth = depth_patches if visible is None else depth_patches.where(visible, 0.0)
     down = (depth[:, :-1, :-1] - depth[:, 1:, :-1]).square()
@@ -92,7 +92,7 @@ class DepthSmoothness(Regularizer):
         opacity = rendering.opacity[patches] if self.opacity_weighted else None
         # Normalised after the differences are taken: depths far from the origin would lose their
         # differences by rounding.
-        term = depth_smoothness(rendering.depth[patches], rendering.visible[patches], opacity)
+        term = depth_smoothness_loss(rendering.depth[patches], rendering.visible[patches], opacity)
         return {"depth_smoothness": term * self._factor(patches.shape[-1], step)}
 
     def _factor(self, side: int, step: Step) -> float:
@@ -112,5 +112,5 @@ class DepthSmoothness(Regularizer):
         patches = given.rays.patches
         opacity = exact(given.opacity[patches]) if self.opacity_weighted else None
         visible = given.visible[patches].tolist()
-        term = reference.depth_smoothness(exact(given.depth[patches]), visible, opacity)
+        term = reference.depth_smoothness_loss(exact(given.depth[patches]), visible, opacity)
         return {"depth_smoothness": term * self._factor(patches.shape[-1], step)}

@@ -14,14 +14,14 @@ from jaxtyping import Float
 from torch import Tensor
 
 from nerfreg import Regularizer, Rendering, Step, hookimpl
-from nerfreg.numerics import MIN_OPACITY, exact, single
+from nerfreg.numerics import MIN_OPACITY, exact, of_rays, ray_samples, single
 from nerfreg_plugins.references import distortion as reference
 
 
-def distortion(
-    weights: Float[Tensor, "rays samples"],
-    t_edges: Float[Tensor, "rays edges"],
-    depth: Float[Tensor, " rays"],
+def distortion_loss(
+    weights: Float[Tensor, "rays samples"] | Float[Tensor, "rays samples 1"],
+    t_edges: Float[Tensor, "rays edges"] | Float[Tensor, "rays edges 1"],
+    depth: Float[Tensor, " rays"] | Float[Tensor, "rays 1"] | None = None,
 ) -> Float[Tensor, ""]:
     """Return (sum_ij w_i w_j abs(m_i - m_j) + 1/3 sum_i w_i^2 delta_i) / depth, mean over rays.
 
@@ -30,11 +30,14 @@ def distortion(
     term is negative, nothing cancels. Rays with opacity below `MIN_OPACITY` count as 0.
 
     Args:
-        weights: `(R, N)`.
-        t_edges: Interval borders in ascending order, `(R, N+1)`, with lengths delta.
-        depth: What each ray is divided by, `(R,)`, in the unit of t.
+        weights: `(R, N)` or `(R, N, 1)`.
+        t_edges: Interval borders in ascending order, `(R, N+1)` or `(R, N+1, 1)`, with lengths
+            delta.
+        depth: What each ray is divided by, `(R,)` or `(R, 1)`, in the unit of t; None: its expected
+            depth, sum w m / sum w. `torch.ones` leaves equation 15 as it is.
     """
-    weights, t_edges, depth = single(weights), single(t_edges), single(depth)
+    weights, t_edges = (single(x) for x in ray_samples(weights, t_edges))
+    depth = _depth(weights, t_edges) if depth is None else single(of_rays("depth", depth, 1))
     delta = t_edges.diff(dim=-1)
     # From the lengths, which are exact where intervals are short against t. Midpoints would be
     # rounded before they are subtracted, and samples packed between 10000 and 10001 would lose most
@@ -48,6 +51,16 @@ def distortion(
     # The divisor is replaced as well, since 0 / 0 makes the gradient NaN even where the outer
     # `where` discards it.
     return torch.where(counted, spread / torch.where(counted, depth, 1.0), 0.0).mean()
+
+
+def _depth(
+    weights: Float[Tensor, "rays samples"], t_edges: Float[Tensor, "rays edges"]
+) -> Float[Tensor, " rays"]:
+    """Return the expected depth, 0 for empty rays."""
+    opacity = weights.sum(-1)
+    seen = opacity.detach() >= MIN_OPACITY
+    middle = (t_edges[:, 1:] + t_edges[:, :-1]) / 2
+    return torch.where(seen, (weights * middle).sum(-1) / torch.where(seen, opacity, 1.0), 0.0)
 
 
 @dataclass
@@ -81,7 +94,7 @@ class Distortion(Regularizer):
 
     @hookimpl
     def nerfreg_loss(self, rendering: Rendering, step: Step) -> dict[str, Float[Tensor, ""]]:
-        return {"distortion": distortion(*self._inputs(rendering, step))}
+        return {"distortion": distortion_loss(*self._inputs(rendering, step))}
 
     def _inputs(
         self, rendering: Rendering, step: Step
@@ -111,4 +124,4 @@ class Distortion(Regularizer):
     def nerfreg_reference(self, given: Any, step: Step) -> dict[str, Any] | None:
         if not isinstance(given, Rendering):
             return None
-        return {"distortion": reference.distortion(*map(exact, self._inputs(given, step)))}
+        return {"distortion": reference.distortion_loss(*map(exact, self._inputs(given, step)))}

@@ -10,22 +10,24 @@ from jaxtyping import Float
 from torch import Tensor
 
 from nerfreg import Needs, Regularizer, Rendering, hookimpl
-from nerfreg.numerics import MIN_OPACITY, exact, single
+from nerfreg.numerics import MIN_OPACITY, exact, of_rays, single
 from nerfreg_plugins.references import entropy as reference
 
 
-def ray_entropy(alphas: Float[Tensor, "rays samples"], threshold: float) -> Float[Tensor, ""]:
+def entropy_loss(
+    alphas: Float[Tensor, "rays samples"] | Float[Tensor, "rays samples 1"], threshold: float = 0.1
+) -> Float[Tensor, ""]:
     """Return H = -sum q log q with q = alpha / sum alpha, mean over all rays.
 
     0 log 0 is 0. The gradient there is infinite in truth; the one returned is that of the smallest
     normal number.
 
     Args:
-        alphas: `(R, N)`.
+        alphas: Opacity of each interval, 1 - exp(-density times length), `(R, N)` or `(R, N, 1)`.
         threshold: Rays whose alphas sum to no more than this count as 0. A threshold below
             `MIN_OPACITY` is raised to it: fainter rays are empty.
     """
-    alphas = single(alphas)
+    alphas = single(of_rays("alphas", alphas, 2))
     total = alphas.sum(-1, keepdim=True)
     # Detached, because which rays count is a decision and not a quantity to be trained.
     counted = total.detach() > max(threshold, MIN_OPACITY)
@@ -76,7 +78,7 @@ class RayEntropy(Regularizer):
 
     @hookimpl
     def nerfreg_loss(self, rendering: Rendering) -> dict[str, Float[Tensor, ""]]:
-        return {"entropy": ray_entropy(rendering.alphas, self.threshold)}
+        return {"entropy": entropy_loss(rendering.alphas, self.threshold)}
 
     @property
     def scale_free(self) -> bool:
@@ -88,4 +90,4 @@ class RayEntropy(Regularizer):
         if not isinstance(given, Rendering):
             return None
         threshold = max(self.threshold, MIN_OPACITY)
-        return {"entropy": reference.ray_entropy(exact(given.alphas), threshold)}
+        return {"entropy": reference.entropy_loss(exact(given.alphas), threshold)}

@@ -13,16 +13,19 @@ from jaxtyping import Float
 from torch import Tensor
 
 from nerfreg import Needs, Regularizer, Rendering, hookimpl
-from nerfreg.numerics import double, exact, one_minus_sum, single
+from nerfreg.numerics import double, exact, of_rays, one_minus_sum, single
 from nerfreg_plugins.references import full_geometry as reference
 
 
-def full_geometry(weights: Float[Tensor, "rays samples"]) -> Float[Tensor, ""]:
+def full_geometry_loss(
+    weights: Float[Tensor, "rays samples"] | Float[Tensor, "rays samples 1"],
+) -> Float[Tensor, ""]:
     """Return (1 - sum w)^2, mean over rays, exact also where the sum is almost 1.
 
     Args:
-        weights: `(R, N)`.
+        weights: `(R, N)` or `(R, N, 1)`.
     """
+    weights = of_rays("weights", weights, 2)
     total = single(weights).sum(-1)
     # The compensated sum gives the value and has no gradient; the difference behind it is 0 and
     # carries the gradient, which is -1 for every weight.
@@ -30,14 +33,17 @@ def full_geometry(weights: Float[Tensor, "rays samples"]) -> Float[Tensor, ""]:
     return missing.square().mean()
 
 
-def full_geometry_of_thickness(tau: Float[Tensor, "rays samples"]) -> Float[Tensor, ""]:
+def full_geometry_loss_of_thickness(
+    tau: Float[Tensor, "rays samples"] | Float[Tensor, "rays samples 1"],
+) -> Float[Tensor, ""]:
     """Return (1 - sum w)^2 = exp(-2 sum tau), mean over rays.
 
     Nothing cancels in this form, so that opaque rays keep a true, tiny gradient in float32.
 
     Args:
-        tau: Optical thickness of the intervals, `(R, N)`.
+        tau: Optical thickness of the intervals, density times length, `(R, N)` or `(R, N, 1)`.
     """
+    tau = of_rays("tau", tau, 2)
     # In float64, because exp turns the absolute rounding error of a large sum into a relative one.
     return torch.exp(-2 * double(tau).sum(-1)).mean().to(single(tau).dtype)
 
@@ -73,7 +79,7 @@ class FullGeometry(Regularizer):
 
     @hookimpl
     def nerfreg_loss(self, rendering: Rendering) -> dict[str, Float[Tensor, ""]]:
-        return {"full_geometry": full_geometry_of_thickness(rendering.tau)}
+        return {"full_geometry": full_geometry_loss_of_thickness(rendering.tau)}
 
     @property
     def scale_free(self) -> bool:
@@ -84,4 +90,4 @@ class FullGeometry(Regularizer):
     def nerfreg_reference(self, given: Any) -> dict[str, Any] | None:
         if not isinstance(given, Rendering):
             return None
-        return {"full_geometry": reference.full_geometry_of_thickness(exact(given.tau))}
+        return {"full_geometry": reference.full_geometry_loss_of_thickness(exact(given.tau))}

@@ -17,7 +17,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from nerfreg import Needs, Regularizer, Rendering, Step, hookimpl
-from nerfreg.numerics import double, exact, log_alpha, single
+from nerfreg.numerics import MIN_OPACITY, double, exact, log_alpha, of_rays, single
 from nerfreg_plugins.references import kl as reference
 
 MIN_LOG_Q = math.log(1e-10)
@@ -26,7 +26,34 @@ SERIES = 0.05
 """Below this log(q / p), q - p - p log(q / p) has lost digits, and its series has not."""
 
 
-def kl_divergence(
+def kl_loss(
+    weights: Float[Tensor, "pairs samples"] | Float[Tensor, "pairs samples 1"],
+    neighbor_weights: Float[Tensor, "pairs samples"] | Float[Tensor, "pairs samples 1"],
+) -> Float[Tensor, ""]:
+    """Return D(p || q) = sum p log(p / q), mean over pairs of rays that share their t.
+
+    p is w / sum w of a ray and q that of its neighbour, floored at 1e-10. A pair in which either
+    ray has an opacity below `MIN_OPACITY` counts as 0. A weight of 0 has no gradient.
+
+    Args:
+        weights: Of the rays, `(M, N)` or `(M, N, 1)`.
+        neighbor_weights: Of their neighbours, likewise.
+    """
+    weights = of_rays("weights", weights, 2)
+    neighbor_weights = of_rays("neighbor_weights", neighbor_weights, 2, weights.shape[1])
+    divergence = kl_loss_of_logs(_logs(weights), _logs(neighbor_weights))
+    return divergence.to(single(weights).dtype)
+
+
+def _logs(weights: Float[Tensor, "pairs samples"]) -> Float[Tensor, "pairs samples"]:
+    """Return the logarithms of weights, -inf for those that are 0 and for empty rays."""
+    weights = double(weights)
+    # The slope of the logarithm at 0 is infinite and would make NaN of a gradient of 0.
+    counted = (weights.detach() > 0) & (weights.detach().sum(-1, keepdim=True) >= MIN_OPACITY)
+    return torch.where(counted, torch.where(counted, weights, 1.0).log(), -math.inf)
+
+
+def kl_loss_of_logs(
     log_weights: Float[Tensor, "pairs samples"],
     neighbor_log_weights: Float[Tensor, "pairs samples"],
 ) -> Float[Tensor, ""]:
@@ -178,7 +205,7 @@ class KLDivergence(Regularizer):
     def nerfreg_loss(self, rendering: Rendering, step: Step) -> dict[str, Float[Tensor, ""]]:
         if rendering.rays.neighbors is None:
             return {}
-        return {"kl": kl_divergence(*self._pairs(rendering))}
+        return {"kl": kl_loss_of_logs(*self._pairs(rendering))}
 
     def _pairs(
         self, rendering: Rendering
@@ -202,4 +229,4 @@ class KLDivergence(Regularizer):
     def nerfreg_reference(self, given: Any) -> dict[str, Any] | None:
         if not isinstance(given, Rendering) or given.rays.neighbors is None:
             return None
-        return {"kl": reference.kl_divergence(*map(exact, self._pairs(given)))}
+        return {"kl": reference.kl_loss_of_logs(*map(exact, self._pairs(given)))}

@@ -11,16 +11,16 @@ from jaxtyping import Float
 from torch import Tensor
 
 from nerfreg import Regularizer, Rendering, hookimpl
-from nerfreg.numerics import double, exact, single
+from nerfreg.numerics import double, exact, of_rays, ray_samples, single
 from nerfreg_plugins.references import occlusion as reference
 
 
-def occlusion(
-    weights: Float[Tensor, "rays samples"],
-    t_edges: Float[Tensor, "rays edges"],
-    near: Float[Tensor, " rays"],
-    far: Float[Tensor, " rays"],
-    fraction: float,
+def occlusion_loss(
+    weights: Float[Tensor, "rays samples"] | Float[Tensor, "rays samples 1"],
+    t_edges: Float[Tensor, "rays edges"] | Float[Tensor, "rays edges 1"],
+    near: Float[Tensor, " rays"] | Float[Tensor, "rays 1"] | None = None,
+    far: Float[Tensor, " rays"] | Float[Tensor, "rays 1"] | None = None,
+    fraction: float = 0.1,
 ) -> Float[Tensor, ""]:
     """Return the mean over the samples in the first `fraction` of [near, far], mean over rays.
 
@@ -28,15 +28,18 @@ def occlusion(
     fraction of 0, give 0.
 
     Args:
-        weights: What is penalised, weights or densities, `(R, N)`.
-        t_edges: Interval borders, `(R, N+1)`.
-        near: Where each ray begins, `(R,)`.
-        far: Where it ends, `(R,)`.
+        weights: What is penalised, weights or densities, `(R, N)` or `(R, N, 1)`.
+        t_edges: Interval borders, `(R, N+1)` or `(R, N+1, 1)`.
+        near: Where each ray begins, `(R,)` or `(R, 1)`; None: at the first border.
+        far: Where it ends, likewise; None: at the last border.
         fraction: Share of the ray that should be empty.
     """
     # Distances in float64, so that far from the origin rounding does not decide which midpoints
     # lie before the border; the values themselves need no more than their own precision.
-    weights, edges, near, far = single(weights), double(t_edges), double(near), double(far)
+    weights, t_edges = ray_samples(weights, t_edges)
+    weights, edges = single(weights), double(t_edges)
+    near = edges[:, 0] if near is None else double(of_rays("near", near, 1))
+    far = edges[:, -1] if far is None else double(of_rays("far", far, 1))
     midpoints = (edges[:, 1:] + edges[:, :-1]) / 2
     close = midpoints < (near + fraction * (far - near))[:, None]
     return ((weights * close).sum(-1) / close.sum(-1).clamp_min(1)).mean()
@@ -69,7 +72,7 @@ class Occlusion(Regularizer):
 
     @hookimpl
     def nerfreg_loss(self, rendering: Rendering) -> dict[str, Float[Tensor, ""]]:
-        return {"occlusion": occlusion(*self._inputs(rendering), self.fraction)}
+        return {"occlusion": occlusion_loss(*self._inputs(rendering), self.fraction)}
 
     def _inputs(self, rendering: Rendering) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         penalised = rendering.weights if self.quantity == Quantity.weights else rendering.density
@@ -86,4 +89,4 @@ class Occlusion(Regularizer):
             return None
         weights, t_edges, near, far = map(exact, self._inputs(given))
         fraction = mpmath.mpf(self.fraction)
-        return {"occlusion": reference.occlusion(weights, t_edges, near, far, fraction)}
+        return {"occlusion": reference.occlusion_loss(weights, t_edges, near, far, fraction)}

@@ -13,24 +13,27 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from nerfreg import Needs, Regularizer, Rendering, hookimpl
-from nerfreg.numerics import exact, single
+from nerfreg.numerics import exact, of_rays, single
 from nerfreg_plugins.references import unseen_smoothness as reference
 
 
-def relative_smoothness(
-    depth_patches: Float[Tensor, "patches side side"], visible: Bool[Tensor, "patches side side"]
+def unseen_smoothness_loss(
+    depth_patches: Float[Tensor, "patches side side"] | Float[Tensor, "patches side side 1"],
+    visible: Bool[Tensor, "patches side side"] | None = None,
 ) -> Float[Tensor, ""]:
     """Return the sum of log(d / d')^2 over all adjacent pixels, mean over patches.
 
     No patches give 0.
 
     Args:
-        depth_patches: `(P, S, S)`.
+        depth_patches: `(P, S, S)` or `(P, S, S, 1)`.
         visible: `(P, S, S)`; pairs are left out where either pixel is not visible, or has no
-            positive depth.
+            positive depth. None: all are visible.
     """
-    depth_patches = single(depth_patches)
-    counted = visible & (depth_patches.detach() > 0)
+    depth_patches = single(of_rays("depth_patches", depth_patches, 3))
+    counted = depth_patches.detach() > 0
+    if visible is not None:
+        counted &= visible
     depth = torch.where(counted, depth_patches, 1.0)
     down = _squared_log_ratio(depth[:, :-1], depth[:, 1:], counted[:, :-1] & counted[:, 1:])
     right = _squared_log_ratio(
@@ -74,7 +77,7 @@ class UnseenSmoothness(Regularizer):
         patches = rendering.rays.unseen_patches
         if patches is None:
             return {}
-        term = relative_smoothness(rendering.depth[patches], rendering.visible[patches])
+        term = unseen_smoothness_loss(rendering.depth[patches], rendering.visible[patches])
         return {"unseen_smoothness": term}
 
     @property
@@ -88,4 +91,4 @@ class UnseenSmoothness(Regularizer):
             return None
         patches = given.rays.unseen_patches
         depth, visible = exact(given.depth[patches]), given.visible[patches].tolist()
-        return {"unseen_smoothness": reference.relative_smoothness(depth, visible)}
+        return {"unseen_smoothness": reference.unseen_smoothness_loss(depth, visible)}

@@ -34,6 +34,39 @@ def double(x: Float[Tensor, "*any"]) -> Float[Tensor, "*any"]:
     return x.float() if x.device.type == "mps" else x.double()
 
 
+def of_rays(name: str, x: Tensor, axes: int, samples: int | None = None) -> Tensor:
+    """Return a tensor without the last axis of length 1 that other programs' tensors have.
+
+    Args:
+        name: Name of the tensor, for the message.
+        x: A tensor with `axes` axes, or with one more of length 1.
+        axes: How many axes the result has.
+        samples: Length of its last axis; None: any.
+
+    Raises:
+        ValueError: The tensor has another shape.
+    """
+    flat = x[..., 0] if x.ndim == axes + 1 and x.shape[-1] == 1 else x
+    if flat.ndim != axes or samples not in (None, flat.shape[-1]):
+        length = "" if samples is None else f", the last of them of length {samples}"
+        raise ValueError(f"{name} has shape {tuple(x.shape)}, not {axes} axes{length}")
+    return flat
+
+
+def ray_samples(weights: Tensor, t_edges: Tensor) -> tuple[Tensor, Tensor]:
+    """Return weights (R, N) and their interval borders (R, N+1), both checked.
+
+    Args:
+        weights: (R, N), or (R, N, 1).
+        t_edges: (R, N+1), or (R, N+1, 1).
+
+    Raises:
+        ValueError: They have other shapes, or do not fit.
+    """
+    weights = of_rays("weights", weights, 2)
+    return weights, of_rays("t_edges", t_edges, 2, weights.shape[1] + 1)
+
+
 def log_alpha(tau: Float[Tensor, "*any"]) -> Float[Tensor, "*any"]:
     """Return log(1 - exp(-tau)), accurate for thin and for thick intervals.
 

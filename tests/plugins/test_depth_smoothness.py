@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import pytest
 import torch
-from nerfreg_plugins.depth_smoothness import DepthSmoothness, Reduction, depth_smoothness
+from nerfreg_plugins.depth_smoothness import DepthSmoothness, Reduction, depth_smoothness_loss
 
 from nerfreg import Needs
 
@@ -10,16 +10,16 @@ from nerfreg import Needs
 def test_by_hand(dtype):
     # i = j = 1 only: (1 - 4)^2 down, (1 - 3)^2 right. The last row and column start no term.
     patch = torch.tensor([[[1.0, 3.0], [4.0, 100.0]]], dtype=dtype)
-    assert depth_smoothness(patch) == 13
+    assert depth_smoothness_loss(patch) == 13
     # A slope of 1 down and 2 right on 4 x 4: nine pixels with 1 + 4 each.
     slope = torch.arange(4.0, dtype=dtype)[:, None] + 2 * torch.arange(4.0, dtype=dtype)
-    assert depth_smoothness(slope[None]) == 45
+    assert depth_smoothness_loss(slope[None]) == 45
 
 
 def test_mean_over_patches(dtype):
     patches = torch.tensor([[[1.0, 3.0], [4.0, 0.0]], [[5.0, 5.0], [5.0, 5.0]]], dtype=dtype)
-    assert depth_smoothness(patches) == 6.5
-    assert depth_smoothness(torch.cat([patches, patches])) == 6.5
+    assert depth_smoothness_loss(patches) == 6.5
+    assert depth_smoothness_loss(torch.cat([patches, patches])) == 6.5
 
 
 @pytest.mark.parametrize("missing", [6.0, float("inf"), float("nan")])
@@ -31,7 +31,7 @@ def test_terms_with_an_invisible_pixel_are_left_out(dtype, finite_gradients, mis
     )
     visible = torch.ones(1, 3, 3, dtype=torch.bool)
     visible[0, 0, 2] = False
-    value = depth_smoothness(patch, visible)
+    value = depth_smoothness_loss(patch, visible)
     assert value == 1
     # d/d(1,1) of (d11 - d12)^2 = -2, d/d(1,2) = 2, nothing elsewhere.
     expected = torch.zeros(1, 3, 3, dtype=dtype)
@@ -41,7 +41,7 @@ def test_terms_with_an_invisible_pixel_are_left_out(dtype, finite_gradients, mis
 
 def test_nothing_visible(dtype, finite_gradients):
     patch = torch.full((2, 3, 3), float("inf"), dtype=dtype, requires_grad=True)
-    value = depth_smoothness(patch, torch.zeros(2, 3, 3, dtype=torch.bool))
+    value = depth_smoothness_loss(patch, torch.zeros(2, 3, 3, dtype=torch.bool))
     assert value == 0
     assert (finite_gradients(value, patch)[0] == 0).all()
 
@@ -49,7 +49,7 @@ def test_nothing_visible(dtype, finite_gradients):
 @pytest.mark.parametrize("shape", [(0, 4, 4), (3, 1, 1)])
 def test_nothing_to_compare(dtype, finite_gradients, shape):
     patch = torch.ones(shape, dtype=dtype, requires_grad=True)
-    value = depth_smoothness(patch)
+    value = depth_smoothness_loss(patch)
     assert value == 0
     finite_gradients(value, patch)
 
@@ -57,7 +57,7 @@ def test_nothing_to_compare(dtype, finite_gradients, shape):
 @pytest.mark.parametrize("half", [torch.bfloat16, torch.float16])
 def test_half_precision_is_computed_in_float32(half):
     patch = torch.rand(2, 4, 4, generator=torch.Generator().manual_seed(0)).to(half)
-    assert torch.equal(depth_smoothness(patch), depth_smoothness(patch.float()))
+    assert torch.equal(depth_smoothness_loss(patch), depth_smoothness_loss(patch.float()))
 
 
 def test_far_away_small_differences_keep_their_digits(rendering, step, dtype):
@@ -76,7 +76,7 @@ def test_gradcheck():
     patch = torch.rand(
         2, 4, 4, dtype=torch.float64, generator=torch.Generator().manual_seed(0)
     ).requires_grad_()
-    assert torch.autograd.gradcheck(depth_smoothness, patch)
+    assert torch.autograd.gradcheck(depth_smoothness_loss, patch)
 
 
 def patch_of_four(rendering, dtype=torch.float64):

@@ -5,7 +5,7 @@ from itertools import pairwise
 import mpmath
 import pytest
 import torch
-from nerfreg_plugins.distortion import Distortion, distortion
+from nerfreg_plugins.distortion import Distortion, distortion_loss
 
 
 def all_pairs(weights, t_edges, depth):
@@ -32,14 +32,14 @@ def test_by_hand(dtype):
     # (2 * 1/2 * 1/4 * 3/2 + (1/4 * 1 + 1/16 * 2) / 3) / 2.
     weights = torch.tensor([[0.5, 0.25]], dtype=dtype)
     t_edges = torch.tensor([[0.0, 1.0, 3.0]], dtype=dtype)
-    assert distortion(weights, t_edges, torch.tensor([2.0], dtype=dtype)).item() == pytest.approx(
-        0.25
-    )
+    assert distortion_loss(
+        weights, t_edges, torch.tensor([2.0], dtype=dtype)
+    ).item() == pytest.approx(0.25)
 
 
 def test_equals_all_pairs_forward_and_backward():
     rays = [tensor.requires_grad_() for tensor in random_rays()]
-    fast, plain = distortion(*rays), all_pairs(*rays)
+    fast, plain = distortion_loss(*rays), all_pairs(*rays)
     torch.testing.assert_close(fast, plain)
     torch.testing.assert_close(torch.autograd.grad(fast, rays), torch.autograd.grad(plain, rays))
 
@@ -62,17 +62,19 @@ def test_float32_keeps_its_digits_between_10000_and_10001():
     )
     expected += sum(a * a * (t[i + 1] - t[i]) for i, a in enumerate(w)) / 3
     expected /= mpmath.mpf(depth.item())
-    assert distortion(weights, t_edges, depth).item() == pytest.approx(float(expected), rel=2e-6)
+    assert distortion_loss(weights, t_edges, depth).item() == pytest.approx(
+        float(expected), rel=2e-6
+    )
 
 
 def test_empty_rays_are_0_and_still_count(dtype, finite_gradients):
     weights, t_edges, depth = (tensor.to(dtype) for tensor in random_rays(2))
-    first = distortion(weights[:1], t_edges[:1], depth[:1])
+    first = distortion_loss(weights[:1], t_edges[:1], depth[:1])
     weights[1] = torch.tensor([0, 5e-5, 0, 0, 0, 0, 0])
     for far in (0.0, 6.0, float("inf")):
         both = torch.stack([depth[0], depth.new_tensor(far)])
         rays = [tensor.clone().requires_grad_() for tensor in (weights, t_edges, both)]
-        value = distortion(*rays)
+        value = distortion_loss(*rays)
         torch.testing.assert_close(value, first / 2)
         for grad in finite_gradients(value, *rays):
             assert (grad[1] == 0).all()
@@ -82,7 +84,7 @@ def test_empty_rays_are_0_and_still_count(dtype, finite_gradients):
 def test_extreme_lengths(dtype, finite_gradients, length):
     weights = torch.tensor([[0.5, 0.5]], dtype=dtype, requires_grad=True)
     t_edges = torch.tensor([[1.0, 1 + length, 1 + 2 * length]], dtype=dtype)
-    finite_gradients(distortion(weights, t_edges, t_edges[:, 1]), weights)
+    finite_gradients(distortion_loss(weights, t_edges, t_edges[:, 1]), weights)
 
 
 @pytest.mark.parametrize("samples", [2, 48, 4096])
@@ -106,20 +108,22 @@ def test_against_50_digits(dtype, samples, low, high):
             total += 2 * w[i] * (m[i] * before - moment) + w[i] ** 2 * (e[i + 1] - e[i]) / 3
             before, moment = before + w[i], moment + w[i] * m[i]
         expected = total / e[-1]
-    value = distortion(weights, t_edges, depth).item()
+    value = distortion_loss(weights, t_edges, depth).item()
     assert value == pytest.approx(float(expected), rel=1e-5 if dtype == torch.float32 else 1e-11)
 
 
 @pytest.mark.parametrize("half", [torch.bfloat16, torch.float16])
 def test_half_precision_is_computed_in_float32(half):
     rays = [tensor.to(half) for tensor in random_rays()]
-    assert torch.equal(distortion(*rays), distortion(*(tensor.float() for tensor in rays)))
+    assert torch.equal(
+        distortion_loss(*rays), distortion_loss(*(tensor.float() for tensor in rays))
+    )
 
 
 def test_one_sample(dtype, finite_gradients):
     # No gap; 1/3 w^2 delta / d = 1/3 * 1/4 * 2 / 2.
     weights = torch.tensor([[0.5]], dtype=dtype, requires_grad=True)
-    value = distortion(
+    value = distortion_loss(
         weights, torch.tensor([[1.0, 3.0]], dtype=dtype), torch.tensor([2.0], dtype=dtype)
     )
     assert value.item() == pytest.approx(1 / 12)
@@ -128,19 +132,22 @@ def test_one_sample(dtype, finite_gradients):
 
 def test_gradcheck():
     assert torch.autograd.gradcheck(
-        distortion, [tensor.requires_grad_() for tensor in random_rays()]
+        distortion_loss, [tensor.requires_grad_() for tensor in random_rays()]
     )
 
 
 def test_doubling_the_batch_changes_nothing():
     rays = random_rays()
-    torch.testing.assert_close(distortion(*(torch.cat([x, x]) for x in rays)), distortion(*rays))
+    torch.testing.assert_close(
+        distortion_loss(*(torch.cat([x, x]) for x in rays)), distortion_loss(*rays)
+    )
 
 
 def test_units_cancel(dtype):
     weights, t_edges, depth = (tensor.to(dtype) for tensor in random_rays())
     torch.testing.assert_close(
-        distortion(weights, t_edges * 1024, depth * 1024), distortion(weights, t_edges, depth)
+        distortion_loss(weights, t_edges * 1024, depth * 1024),
+        distortion_loss(weights, t_edges, depth),
     )
 
 

@@ -5,7 +5,7 @@ import math
 import mpmath
 import pytest
 import torch
-from nerfreg_plugins.kl import Density, KLDirection, KLDivergence, Neighbors, kl_divergence
+from nerfreg_plugins.kl import Density, KLDirection, KLDivergence, Neighbors, kl_loss_of_logs
 
 from nerfreg import Needs
 
@@ -14,14 +14,14 @@ def test_by_hand(dtype):
     # p = (1/2, 1/2, 0), q = (1/4, 1/2, 1/4): 1/2 log 2 + 1/2 log 1 + 0.
     p = torch.tensor([[2.0, 2.0, 0.0]], dtype=dtype).log()
     q = torch.tensor([[1.0, 2.0, 1.0]], dtype=dtype).log()
-    assert kl_divergence(p, q).item() == pytest.approx(0.5 * math.log(2), rel=1e-6)
+    assert kl_loss_of_logs(p, q).item() == pytest.approx(0.5 * math.log(2), rel=1e-6)
 
 
 def test_the_neighbour_is_floored_at_1e_10(dtype):
     # All of p lies where q has nothing: log(1 / 1e-10) and no more.
     p = torch.tensor([[1.0, 0.0]], dtype=dtype).log()
     q = torch.tensor([[0.0, 1.0]], dtype=dtype).log()
-    assert kl_divergence(p, q).item() == pytest.approx(10 * math.log(10), rel=1e-6)
+    assert kl_loss_of_logs(p, q).item() == pytest.approx(10 * math.log(10), rel=1e-6)
 
 
 def test_weights_that_underflow_have_a_true_divergence(dtype, finite_gradients):
@@ -35,7 +35,7 @@ def test_weights_that_underflow_have_a_true_divergence(dtype, finite_gradients):
     )
     ray = torch.tensor([raw_p], dtype=dtype, requires_grad=True)
     neighbor = torch.tensor([raw_q], dtype=dtype, requires_grad=True)
-    value = kl_divergence(ray, neighbor)
+    value = kl_loss_of_logs(ray, neighbor)
     assert value.item() == pytest.approx(
         float(expected), rel=1e-6 if dtype == torch.float32 else 1e-11
     )
@@ -46,13 +46,13 @@ def test_weights_that_underflow_have_a_true_divergence(dtype, finite_gradients):
 def test_a_pair_with_an_empty_ray_is_0_and_still_counts(dtype, finite_gradients, empty):
     ray = torch.tensor([[0.5, 0.5], [0.5, 0.5]], dtype=dtype).log()
     neighbor = torch.tensor([[0.25, 0.75], [0.25, 0.75]], dtype=dtype).log()
-    whole = kl_divergence(ray, neighbor)
+    whole = kl_loss_of_logs(ray, neighbor)
     if empty in ("ray", "both"):
         ray[1] = -math.inf
     if empty in ("neighbor", "both"):
         neighbor[1] = -math.inf
     ray.requires_grad_(), neighbor.requires_grad_()
-    value = kl_divergence(ray, neighbor)
+    value = kl_loss_of_logs(ray, neighbor)
     assert value.item() == pytest.approx(whole.item() / 2, rel=1e-6)
     for grad in finite_gradients(value, ray, neighbor):
         assert (grad[1] == 0).all()
@@ -75,7 +75,7 @@ def test_neighbours_that_nearly_agree_keep_their_digits(dtype, finite_gradients,
         p, q = ([x / mpmath.fsum(values) for x in values] for values in (p, q))
         expected = mpmath.fsum(a * mpmath.log(a / b) for a, b in zip(p, q, strict=True))
     ray.requires_grad_(), neighbor.requires_grad_()
-    value = kl_divergence(ray, neighbor)
+    value = kl_loss_of_logs(ray, neighbor)
     assert expected > 0
     exact = offset == 0 or dtype == torch.float32
     assert value.item() == pytest.approx(
@@ -86,24 +86,24 @@ def test_neighbours_that_nearly_agree_keep_their_digits(dtype, finite_gradients,
 
 def test_equal_rays_have_no_divergence(dtype):
     ray = torch.randn(4, 48, dtype=dtype, generator=torch.Generator().manual_seed(0))
-    assert kl_divergence(ray, ray) == 0
+    assert kl_loss_of_logs(ray, ray) == 0
 
 
 @pytest.mark.parametrize("half", [torch.bfloat16, torch.float16])
 def test_half_precision_is_computed_in_float32(half):
     p, q = torch.randn(2, 3, 5, generator=torch.Generator().manual_seed(1)).to(half)
-    assert torch.equal(kl_divergence(p, q), kl_divergence(p.float(), q.float()))
+    assert torch.equal(kl_loss_of_logs(p, q), kl_loss_of_logs(p.float(), q.float()))
 
 
 def test_no_pairs(dtype):
-    assert kl_divergence(torch.zeros(0, 4, dtype=dtype), torch.zeros(0, 4, dtype=dtype)) == 0
+    assert kl_loss_of_logs(torch.zeros(0, 4, dtype=dtype), torch.zeros(0, 4, dtype=dtype)) == 0
 
 
 @pytest.mark.parametrize("extreme", [-1e30, -3e38, -math.inf])
 def test_extremely_dark_samples(dtype, finite_gradients, extreme):
     p = torch.tensor([[0.0, extreme], [extreme, 0.0]], dtype=dtype, requires_grad=True)
     q = torch.tensor([[extreme, 0.0], [extreme, 0.0]], dtype=dtype, requires_grad=True)
-    value = kl_divergence(p, q)
+    value = kl_loss_of_logs(p, q)
     # The first pair is apart (10 log 10), the second equal (0).
     assert value.item() == pytest.approx(5 * math.log(10), rel=1e-6)
     finite_gradients(value, p, q)
@@ -115,12 +115,14 @@ def test_gradcheck():
         torch.randn(3, 5, dtype=torch.float64, generator=generator).requires_grad_()
         for _ in range(2)
     )
-    assert torch.autograd.gradcheck(kl_divergence, (p, q))
+    assert torch.autograd.gradcheck(kl_loss_of_logs, (p, q))
 
 
 def test_doubling_the_batch_changes_nothing():
     p, q = torch.randn(2, 3, 5, dtype=torch.float64, generator=torch.Generator().manual_seed(1))
-    torch.testing.assert_close(kl_divergence(p.repeat(2, 1), q.repeat(2, 1)), kl_divergence(p, q))
+    torch.testing.assert_close(
+        kl_loss_of_logs(p.repeat(2, 1), q.repeat(2, 1)), kl_loss_of_logs(p, q)
+    )
 
 
 def pair_of_rays(rendering, dtype=torch.float64):

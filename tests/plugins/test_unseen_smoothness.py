@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import pytest
 import torch
-from nerfreg_plugins.unseen_smoothness import UnseenSmoothness, relative_smoothness
+from nerfreg_plugins.unseen_smoothness import UnseenSmoothness, unseen_smoothness_loss
 
 
 def all_of(patches):
@@ -18,7 +18,7 @@ def test_by_hand(dtype, finite_gradients):
     depth = torch.tensor(
         [[[1.0, 2.0], [2.0, 8.0]], [[3.0, 3.0], [3.0, 3.0]]], dtype=dtype, requires_grad=True
     )
-    value = relative_smoothness(depth, all_of(depth))
+    value = unseen_smoothness_loss(depth, all_of(depth))
     assert value.item() == pytest.approx(10 * math.log(2) ** 2 / 2)
     # d/dlog of the 8: twice log 4, times 2 for the square, over 2 patches; and 1/8 for d log d.
     gradient = finite_gradients(value, depth)[0]
@@ -29,8 +29,8 @@ def test_by_hand(dtype, finite_gradients):
 def test_units_do_not_matter(dtype):
     depth = torch.rand(2, 4, 4, dtype=dtype, generator=torch.Generator().manual_seed(0)) + 1
     for factor in (1e-6, 1e6):
-        assert relative_smoothness(depth * factor, all_of(depth)).item() == pytest.approx(
-            relative_smoothness(depth, all_of(depth)).item(), rel=1e-5
+        assert unseen_smoothness_loss(depth * factor, all_of(depth)).item() == pytest.approx(
+            unseen_smoothness_loss(depth, all_of(depth)).item(), rel=1e-5
         )
 
 
@@ -40,28 +40,28 @@ def test_nearly_equal_depths_keep_their_digits():
     step = 2.0**-10
     depth = torch.tensor([[[1e4, 1e4 + step], [1e4, 1e4 + step]]])
     expected = 2 * math.log1p(step / 1e4) ** 2
-    assert relative_smoothness(depth, all_of(depth)).item() == pytest.approx(expected, rel=1e-6)
+    assert unseen_smoothness_loss(depth, all_of(depth)).item() == pytest.approx(expected, rel=1e-6)
 
 
 @pytest.mark.parametrize("empty", [0.0, float("inf"), 1e30])
 def test_empty_rays_are_left_out(dtype, finite_gradients, empty):
     depth = torch.tensor([[[1.0, 2.0], [empty, 2.0]]], dtype=dtype, requires_grad=True)
     visible = torch.tensor([[[True, True], [False, True]]])
-    value = relative_smoothness(depth, visible)
+    value = unseen_smoothness_loss(depth, visible)
     assert value.item() == pytest.approx(math.log(2) ** 2)
     assert finite_gradients(value, depth)[0][0, 1, 0] == 0
 
 
 def test_depths_of_zero_are_left_out(finite_gradients):
     depth = torch.tensor([[[0.0, 1.0], [0.0, 1.0]]], requires_grad=True)
-    value = relative_smoothness(depth, all_of(depth))
+    value = unseen_smoothness_loss(depth, all_of(depth))
     assert value == 0
     finite_gradients(value, depth)
 
 
 def test_no_patch_and_patches_of_one_pixel():
-    assert relative_smoothness(torch.ones(0, 4, 4), torch.ones(0, 4, 4, dtype=torch.bool)) == 0
-    assert relative_smoothness(torch.ones(3, 1, 1), torch.ones(3, 1, 1, dtype=torch.bool)) == 0
+    assert unseen_smoothness_loss(torch.ones(0, 4, 4), torch.ones(0, 4, 4, dtype=torch.bool)) == 0
+    assert unseen_smoothness_loss(torch.ones(3, 1, 1), torch.ones(3, 1, 1, dtype=torch.bool)) == 0
 
 
 def test_gradcheck():
@@ -69,7 +69,7 @@ def test_gradcheck():
         torch.rand(2, 3, 3, dtype=torch.float64, generator=torch.Generator().manual_seed(0)) + 0.5
     )
     assert torch.autograd.gradcheck(
-        lambda d: relative_smoothness(d, all_of(d)), depth.requires_grad_()
+        lambda d: unseen_smoothness_loss(d, all_of(d)), depth.requires_grad_()
     )
 
 

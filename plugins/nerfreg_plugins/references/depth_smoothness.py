@@ -1,4 +1,4 @@
-"""Exact values for `depth_smoothness`."""
+"""Exact values for `depth_smoothness_loss`."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from mpmath import fsum, mpf
 Patch = Sequence[Sequence[mpf]]
 
 
-def depth_smoothness(
+def depth_smoothness_loss(
     depth_patches: Sequence[Patch],
     visible: Sequence[Sequence[Sequence[bool]]],
     opacity: Sequence[Patch] | None = None,

@@ -1,4 +1,4 @@
-"""Exact values for `distortion`."""
+"""Exact values for `distortion_loss`."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from mpmath import fsum, mpf
 from nerfreg.numerics import MIN_OPACITY
 
 
-def distortion(
+def distortion_loss(
     weights: Sequence[Sequence[mpf]], t_edges: Sequence[Sequence[mpf]], depth: Sequence[mpf]
 ) -> mpf:
     """Return equation 15 of Mip-NeRF 360, divided by depth, mean over rays.

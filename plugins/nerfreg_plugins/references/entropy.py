@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from mpmath import fsum, log, mpf
 
 
-def ray_entropy(alphas: Sequence[Sequence[mpf]], threshold: mpf | float) -> mpf:
+def entropy_loss(alphas: Sequence[Sequence[mpf]], threshold: mpf | float) -> mpf:
     """Return -sum q log q with q = alpha / sum alpha, mean over rays.
 
     Args:

@@ -1,4 +1,4 @@
-"""Exact values for `full_geometry`."""
+"""Exact values for `full_geometry_loss`."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from mpmath import exp, fsum, mpf
 
 
-def full_geometry_of_thickness(tau: Sequence[Sequence[mpf]]) -> mpf:
+def full_geometry_loss_of_thickness(tau: Sequence[Sequence[mpf]]) -> mpf:
     """Return (1 - sum w)^2 = exp(-2 sum tau), mean over rays.
 
     Args:

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from mpmath import exp, fsum, log, mpf
 
 
-def kl_divergence(
+def kl_loss_of_logs(
     log_weights: Sequence[Sequence[mpf]], neighbor_log_weights: Sequence[Sequence[mpf]]
 ) -> mpf:
     """Return D(p || q) = sum p log(p / q) with q floored at 1e-10, mean over pairs.

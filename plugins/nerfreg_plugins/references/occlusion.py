@@ -1,4 +1,4 @@
-"""Exact values for `occlusion`."""
+"""Exact values for `occlusion_loss`."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from itertools import pairwise
 from mpmath import fsum, mpf
 
 
-def occlusion(
+def occlusion_loss(
     penalised: Sequence[Sequence[mpf]],
     t_edges: Sequence[Sequence[mpf]],
     near: Sequence[mpf],

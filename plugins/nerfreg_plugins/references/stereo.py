@@ -8,21 +8,21 @@ from itertools import pairwise
 from mpmath import exp, fsum, isnan, log1p, mpf
 
 
-def missed_depth(
+def stereo_loss(
     weights: Sequence[Sequence[mpf]],
-    tau: Sequence[Sequence[mpf]],
     t_edges: Sequence[Sequence[mpf]],
     known_depth: Sequence[Sequence[mpf]],
     doubt: mpf,
+    tau: Sequence[Sequence[mpf]],
 ) -> mpf:
     """Return log((1 + doubt) / (m + doubt)), mean over rays.
 
     Args:
         weights: `(R, N)`.
-        tau: Optical thickness of the intervals, `(R, N)`.
         t_edges: Interval borders, `(R, N+1)`.
         known_depth: First and last distance of a known surface, `(R, 2)`; NaN where unknown.
         doubt: How likely it is that what is known is wrong.
+        tau: Optical thickness of the intervals, `(R, N)`.
     """
     rays = zip(weights, tau, t_edges, known_depth, strict=True)
     return fsum(_of_ray(*ray, doubt) for ray in rays) / max(len(weights), 1)

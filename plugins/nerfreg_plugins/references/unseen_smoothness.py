@@ -8,7 +8,7 @@ from itertools import chain, pairwise
 from mpmath import fsum, log, mpf
 
 
-def relative_smoothness(
+def unseen_smoothness_loss(
     depth_patches: Sequence[Sequence[Sequence[mpf]]],
     visible: Sequence[Sequence[Sequence[bool]]],
 ) -> mpf:

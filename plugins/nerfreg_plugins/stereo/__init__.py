@@ -17,17 +17,17 @@ from torch import Tensor
 
 from nerfreg import Photographs, Regularizer, Rendering, hookimpl
 from nerfreg.errors import require_range
-from nerfreg.numerics import double, exact, single
+from nerfreg.numerics import double, exact, of_rays, one_minus_sum, ray_samples, single
 from nerfreg_plugins.references import stereo as reference
 from nerfreg_plugins.stereo.search import agreed_depth
 
 
-def missed_depth(
-    weights: Float[Tensor, "rays samples"],
-    tau: Float[Tensor, "rays samples"],
-    t_edges: Float[Tensor, "rays edges"],
+def stereo_loss(
+    weights: Float[Tensor, "rays samples"] | Float[Tensor, "rays samples 1"],
+    t_edges: Float[Tensor, "rays edges"] | Float[Tensor, "rays edges 1"],
     known_depth: Float[Tensor, "rays 2"],
-    doubt: float,
+    doubt: float = 0.1,
+    tau: Float[Tensor, "rays samples"] | Float[Tensor, "rays samples 1"] | None = None,
 ) -> Float[Tensor, ""]:
     """Return log((1 + doubt) / (m + doubt)), m the weight at the known depth; mean over rays.
 
@@ -36,13 +36,15 @@ def missed_depth(
     which nothing is known, or no interval of which reaches there, give 0.
 
     Args:
-        weights: `(R, N)`.
-        tau: Optical thickness of the intervals, `(R, N)`.
-        t_edges: Interval borders, `(R, N+1)`.
+        weights: `(R, N)` or `(R, N, 1)`.
+        t_edges: Interval borders, `(R, N+1)` or `(R, N+1, 1)`.
         known_depth: Between which distances a surface is known to be, `(R, 2)`; NaN where unknown.
         doubt: How likely it is that what is known is wrong. The more doubt, the less it costs to be
             elsewhere: the gradient of a ray that misses the surface is -1 / doubt.
+        tau: Optical thickness of the intervals, density times length, `(R, N)` or `(R, N, 1)`,
+            which tells to all digits what passes an opaque ray; None: it is 1 - sum w.
     """
+    weights, t_edges = ray_samples(weights, t_edges)
     weights, edges, known = single(weights), double(t_edges), double(known_depth)
     first, last = known[:, :, None].unbind(1)
     # Comparisons with NaN are false, so that a ray of unknown depth has no interval that is close.
@@ -56,13 +58,25 @@ def missed_depth(
         .nan_to_num(nan=torch.inf, posinf=torch.inf)
         .to(weights.dtype)
     )
-    passed = torch.exp(-double(tau).sum(-1)).to(weights.dtype)
+    passed = _passed(weights, tau)
     # What the rest of the ray and the background get is 1 - m, added up instead of subtracted: it
     # keeps its digits where m is almost 1.
     there = (weights / (1 + squared)).sum(-1)
     elsewhere = (weights / (1 + 1 / squared)).sum(-1) + passed
     missed = torch.log1p(elsewhere / (there + doubt))
     return torch.where(close.any(-1), missed, 0.0).sum() / max(len(weights), 1)
+
+
+def _passed(weights: Float[Tensor, "rays samples"], tau: Tensor | None) -> Float[Tensor, " rays"]:
+    """Return the light that passes all intervals of each ray."""
+    if tau is not None:
+        tau = of_rays("tau", tau, 2, weights.shape[1])
+        return torch.exp(-double(tau).sum(-1)).to(weights.dtype)
+    total = weights.sum(-1)
+    # The compensated sum gives the value and has no gradient; the difference behind it is 0 and
+    # carries the gradient, which is -1 for every weight.
+    missing = one_minus_sum(double(weights)).clamp_min(0).to(weights.dtype)
+    return missing + (total.detach() - total)
 
 
 @dataclass
@@ -110,7 +124,7 @@ class Stereo(Regularizer):
         weights, tau, edges = (
             x[: len(known)] for x in (rendering.weights, rendering.tau, rendering.t_edges)
         )
-        return {"stereo": missed_depth(weights, tau, edges, known, self.doubt)}
+        return {"stereo": stereo_loss(weights, edges, known, self.doubt, tau)}
 
     @property
     def scale_free(self) -> bool:
@@ -125,4 +139,4 @@ class Stereo(Regularizer):
         weights, tau, edges = (
             exact(x[: len(known)]) for x in (given.weights, given.tau, given.t_edges)
         )
-        return {"stereo": reference.missed_depth(weights, tau, edges, exact(known), doubt)}
+        return {"stereo": reference.stereo_loss(weights, edges, exact(known), doubt, tau)}

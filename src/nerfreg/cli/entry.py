@@ -71,7 +71,7 @@ def _dispatch(words: list[str]) -> int | None:
     if {"-h", "--help"} & set(rest):
         chosen.print_help()
         return 0
-    run = getattr(verbs, chosen.verb.split()[0])
+    run = getattr(verbs, chosen.verb.split()[0].replace("-", "_"))
     code: int | None = run(chosen.read(rest), rest)
     return code
 

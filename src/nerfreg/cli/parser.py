@@ -56,6 +56,7 @@ def make_parser() -> Parser:
     inspecting = "show what is found in a scene's files, and a picture of its cameras"
     _add_hydra_verb(verbs, "scene", inspecting, choices)
     _add_plugins(verbs)
+    tools.add_new_plugin(verbs)
     tools.add_check(verbs)
     tools.add_bench(verbs)
     tools.add_report(verbs)

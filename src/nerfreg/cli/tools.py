@@ -1,7 +1,8 @@
-"""The arguments of the tools: check, bench, report and prune."""
+"""The arguments of the tools: new-plugin, check, bench, report and prune."""
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 from nerfreg.cli import arguments as read
@@ -11,6 +12,29 @@ from nerfreg.cli.completion import complete_plugins
 
 DTYPES = ("float16", "bfloat16", "float32", "float64")
 """Precisions of `nerfreg check`, in the order in which they are checked."""
+
+
+def add_new_plugin(verbs: Any) -> None:
+    """Add `nerfreg new-plugin`."""
+    parser = add_verb(
+        verbs,
+        "new-plugin",
+        "write a package with a regularizer of your own, to be filled in",
+        "NAME [options]",
+        epilog="The package installs, passes nerfreg check, and trains as it is.\n"
+        "Hooks are named with or without nerfreg_; docs/reference/hooks.md describes them.",
+    )
+    add = parser.add_argument
+    add("name", metavar="NAME", help="the name of the plugin, such as depth_ranking")
+    add(
+        "--hook",
+        metavar="NAME,NAME",
+        dest="hooks",
+        type=read.names,
+        default=("loss",),
+        help="the hooks that it implements (loss); all for all of them",
+    )
+    add("--folder", metavar="PATH", type=Path, help="a new folder for it (./nerfreg-NAME)")
 
 
 def add_check(verbs: Any) -> None:

@@ -64,6 +64,13 @@ def plugins(options: Namespace, words: Words) -> None:
     print_plugins()
 
 
+def new_plugin(options: Namespace, words: Words) -> None:
+    """Write the package of a new plugin."""
+    from nerfreg.scaffold.run import run
+
+    run(options.name, options.hooks, options.folder)
+
+
 def check(options: Namespace, words: Words) -> int:
     """Check plugins, or replay a step; returns 1 if anything failed."""
     if options.replay is not None:

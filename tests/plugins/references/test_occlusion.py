@@ -1,7 +1,7 @@
 from __future__ import annotations
 
 import pytest
-from nerfreg_plugins.references.occlusion import occlusion
+from nerfreg_plugins.references.occlusion import occlusion_loss
 
 
 @pytest.mark.parametrize(
@@ -11,5 +11,5 @@ from nerfreg_plugins.references.occlusion import occlusion
 )
 def test_by_hand(numbers, fraction, expected):
     weights, edges = numbers([[0.5, 0.25, 0.25, 0]]), numbers([[2, 3, 4, 5, 6]])
-    value = occlusion(weights, edges, numbers([2]), numbers([6]), numbers(fraction))
+    value = occlusion_loss(weights, edges, numbers([2]), numbers([6]), numbers(fraction))
     assert value == expected

@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import mpmath
 import pytest
-from nerfreg_plugins.references.stereo import missed_depth
+from nerfreg_plugins.references.stereo import stereo_loss
 
 NAN = float("nan")
 
@@ -21,7 +21,7 @@ NAN = float("nan")
 )
 def test_by_hand(numbers, close, edges, known, expected):
     log2 = mpmath.log(2)
-    value = missed_depth(
-        numbers([[0.5, 0.25]]), [[log2, log2]], numbers([edges]), numbers([known]), numbers(0.5)
+    value = stereo_loss(
+        numbers([[0.5, 0.25]]), numbers([edges]), numbers([known]), numbers(0.5), [[log2, log2]]
     )
     assert close(value, mpmath.log(numbers(expected)))

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import pytest
 import torch
-from nerfreg_plugins.stereo import Stereo, missed_depth
+from nerfreg_plugins.stereo import Stereo, stereo_loss
 
 from nerfreg import NerfregError
 
@@ -15,7 +15,7 @@ NOTHING = [math.nan, math.nan]
 def loss(tau: torch.Tensor, edges: torch.Tensor, known: torch.Tensor, doubt: float) -> torch.Tensor:
     """Of the weights that optical thickness makes."""
     before = torch.cat([torch.zeros_like(tau[:, :1]), tau[:, :-1].cumsum(-1)], dim=1)
-    return missed_depth(torch.exp(-before) * -torch.expm1(-tau), tau, edges, known, doubt)
+    return stereo_loss(torch.exp(-before) * -torch.expm1(-tau), edges, known, doubt, tau)
 
 
 def test_by_hand(dtype, finite_gradients):
