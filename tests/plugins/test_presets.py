@@ -15,7 +15,8 @@ from hydra.core.global_hydra import GlobalHydra
 from hydra.errors import HydraException
 from omegaconf import OmegaConf
 
-from nerfreg.config.schema import plugin_schema, register
+from nerfreg.config.plugin_schema import plugin_schema
+from nerfreg.config.schema import register
 from nerfreg.errors import NerfregError
 from nerfreg.hooks import Regularizer
 from nerfreg.runs.citations import plugin_entries

@@ -171,6 +171,8 @@ def _warn_of_broken(plugins: Sequence[PluginInfo]) -> None:
         if plugin.error:
             who = f"plugin '{plugin.name}' of package {plugin.package}"
             print(f"nerfreg: warning: {who} is left out: {plugin.error}", file=sys.stderr)
+        elif plugin.clash:
+            print(f"nerfreg: warning: package {plugin.package}: {plugin.clash}", file=sys.stderr)
 
 
 def train(config: Config, folder: Path) -> None:

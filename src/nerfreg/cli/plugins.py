@@ -28,4 +28,4 @@ def print_plugins() -> None:
 
 def _row(plugin: PluginInfo) -> tuple[str, ...]:
     hooks = ", ".join(plugin.hook_points)
-    return plugin.name, plugin.package, plugin.version, hooks, plugin.summary, plugin.state
+    return plugin.address, plugin.package, plugin.version, hooks, plugin.summary, plugin.state

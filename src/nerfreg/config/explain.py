@@ -15,12 +15,14 @@ from omegaconf.errors import (
 from yaml import YAMLError
 
 from nerfreg.config.folders import choices_on_disk, groups_on_disk
+from nerfreg.config.plugin_store import refusal, split_choice
 from nerfreg.config.search_path import options
 from nerfreg.errors import NerfregError, nearest
 from nerfreg.registry import PluginInfo
 
 COMPOSITION_ERRORS = (HydraException, OmegaConfBaseException, YAMLError)
 GROUP_OF_KEYS = "is a group of keys; `nerfreg train --cfg job` shows them"
+ANOTHER_NAME = "give one of them another, as in +reg=plugin@name"
 EXTRA = ("hydra/launcher", "hydra/sweeper")
 """Groups whose choices come with packages that are not installed by default."""
 
@@ -61,6 +63,8 @@ def check_overrides(overrides: Sequence[str]) -> None:
         raise NerfregError(
             f"reg is chosen {len(choices)} times; write one list: '+reg=[{','.join(choices)}]'"
         )
+    for choice in choices:
+        _refuse_equal_names([word.strip(" '\"") for word in choice.split(",")])
 
 
 def explain(error: Exception, plugins: Sequence[PluginInfo], overrides: Sequence[str] = ()) -> str:
@@ -88,6 +92,9 @@ def explain(error: Exception, plugins: Sequence[PluginInfo], overrides: Sequence
         advice = "quote lists, as in '+reg=[kl,lipschitz]'"
         return f"cannot read '{error.override}': {_first_line(error)}; {advice}"
     text = str(error)
+    if match := re.match(r"In 'reg/([^']+)': ValidationError raised .*Merge error", text):
+        name = split_choice(match[1])[1]
+        return f"two plugins would be called '{name}'; {ANOTHER_NAME}"
     if match := re.match(r"Could not override '([\w/]+)'. No match in the defaults list", text):
         override = next(
             (word for word in overrides if word.startswith(f"{match[1]}=")), f"{match[1]}=..."
@@ -101,6 +108,14 @@ def explain(error: Exception, plugins: Sequence[PluginInfo], overrides: Sequence
         advice = f"write '{key}=[{values}]' for a list, or -m to sweep over them"
         return f"'{key}={values}' is several values; {advice}"
     return " ".join(text.split())
+
+
+def _refuse_equal_names(choices: Sequence[str]) -> None:
+    """Refuse two plugins whose settings would stand under one key (but not sweeps of them)."""
+    names = [split_choice(choice)[1] for choice in choices]
+    for choice, name in zip(choices, names, strict=True):
+        if names.count(name) > 1 and choices.count(choice) == 1:
+            raise NerfregError(f"+reg=: two plugins would be called '{name}'; {ANOTHER_NAME}")
 
 
 def _causes(error: BaseException | None) -> Iterator[BaseException]:
@@ -144,10 +159,9 @@ def _unknown_choice(error: MissingConfigException, plugins: Sequence[PluginInfo]
         advice = "nerfreg train --info searchpath shows it"
         return f"no config file '{missing}.yaml' in the search path; {advice}"
     if group == "reg":
-        for plugin in plugins:
-            if plugin.name == name and plugin.error:
-                return f"plugin '{name}' of package {plugin.package}: {plugin.error}"
-        hint = nearest(name, options(group, plugins))
+        if why := refusal(name, plugins):
+            return f"reg={name}: {why}" if ":" in name or "@" in name else why
+        hint = nearest(name.partition("@")[0], options(group, plugins))
         return f"unknown plugin or preset '{name}' in reg={name}; {hint}"
     known = (
         option

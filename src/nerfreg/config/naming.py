@@ -20,9 +20,10 @@ UNNAMED = ("name", "train.quiet")
 def slug(text: str) -> str:
     """Return overrides as part of a folder name.
 
-    `+reg=[lipschitz,kl],seed=0` becomes `reg=lipschitz+kl,seed=0`.
+    `+reg=[lipschitz,kl],seed=0` becomes `reg=lipschitz+kl,seed=0`, and a mapping `{a:1,b:2}`
+    becomes `a-1+b-2`.
     """
-    return re.sub(r"[^\w=.,+-]+", "-", _without_syntax(text))[:MAX_LENGTH].strip("-,.")
+    return re.sub(r"[^\w=.,+@-]+", "-", _without_syntax(text))[:MAX_LENGTH].strip("-,.")
 
 
 def overrides_name(overrides: Sequence[str]) -> str:
@@ -75,4 +76,9 @@ def _rank(override: str) -> tuple[int, str]:
 
 def _without_syntax(text: str) -> str:
     lists_joined = re.sub(r"\[([^\]]*)\]", lambda match: match[1].replace(",", "+"), str(text))
-    return re.sub(r"(^|,)\++", r"\1", lists_joined)
+    mappings_joined = re.sub(
+        r"\{([^{}]*)\}",
+        lambda match: re.sub(r" *, *", "+", match[1]).replace(": ", "-").replace(":", "-"),
+        lists_joined,
+    )
+    return re.sub(r"(^|,)\++", r"\1", mappings_joined)

@@ -14,10 +14,10 @@ from hydra.core.config_store import ConfigStore
 from omegaconf import DictConfig, OmegaConf
 
 from nerfreg.config.naming import run_name
+from nerfreg.config.plugin_store import store_plugins
 from nerfreg.config.search_path import SCHEMA, register_search_path
 from nerfreg.evaluation.config import EvalConfig
 from nerfreg.field.config import FieldConfig
-from nerfreg.hooks import Regularizer
 from nerfreg.registry import PluginInfo, installed
 from nerfreg.rendering.config import SamplerConfig
 from nerfreg.scenes import SCENES
@@ -66,7 +66,7 @@ def register() -> list[PluginInfo]:
     store.store(name="schema", node=Config)
     for name in SCENES:
         store.store(group="scene", name=f"{name}{SCHEMA}", node=scene_schema(name))
-    plugins = [_store_plugin(plugin) for plugin in installed()]
+    plugins = store_plugins(installed())
     register_search_path(plugins)
     return plugins
 
@@ -77,43 +77,9 @@ def scene_schema(name: str) -> Any:
     return dataclasses.make_dataclass(cls.__name__, [("format", str, name)], bases=(cls,))
 
 
-def plugin_schema(name: str, cls: type[Regularizer]) -> DictConfig:
-    """Return a plugin's dataclass as a typed node.
-
-    Its defaults follow `scene.layout` where the class says so (`Regularizer.by_layout`).
-    """
-    node: DictConfig = OmegaConf.structured(cls)
-    defaults = OmegaConf.to_container(node)
-    assert isinstance(defaults, dict)
-
-    def by_layout(key: str, *, _root_: DictConfig) -> Any:
-        layout = OmegaConf.select(_root_, "scene.layout", default="")
-        return cls.by_layout.get(layout, {}).get(key, defaults[key])
-
-    OmegaConf.register_new_resolver(f"{name}_by_layout", by_layout, replace=True)
-    for values in cls.by_layout.values():
-        for key in values:
-            node[key] = f"${{{name}_by_layout:{key}}}"
-    return node
-
-
 def _by_layout(forward: Any, orbit: Any, *, _root_: DictConfig) -> Any:
     """`${by_layout:FORWARD,ORBIT}` in a preset: a value that depends on how the cameras stand.
 
     It is FORWARD as long as the layout is not known.
     """
     return orbit if OmegaConf.select(_root_, "scene.layout", default=None) == "orbit" else forward
-
-
-def _store_plugin(plugin: PluginInfo) -> PluginInfo:
-    if plugin.cls is None:
-        return plugin
-    try:
-        node = plugin_schema(plugin.name, plugin.cls)
-    except Exception as exception:  # the annotations of a foreign package may be anything
-        error = f"its fields are no configuration: {exception}".partition("\n")[0]
-        return dataclasses.replace(plugin, cls=None, error=error)
-    # Absolute, so that a preset of the group `reg` can list the plugin among its defaults.
-    package = f"_global_.reg.{plugin.name}"
-    ConfigStore.instance().store(group="reg", name=plugin.name, node=node, package=package)
-    return plugin

@@ -7,10 +7,14 @@ from copy import deepcopy
 
 from omegaconf import DictConfig, OmegaConf
 
+from nerfreg.config.plugin import make_plugin
+from nerfreg.config.plugin_store import alias_refusal, known_plugins, split_choice
 from nerfreg.config.schema import Config
 from nerfreg.errors import NerfregError, nearest
 from nerfreg.hooks import Regularizer
 from nerfreg.registry import Hooks
+from nerfreg.registry.fields import PLUGIN_KEY
+from nerfreg.registry.plugins import find_plugin
 from nerfreg.scenes import SCENES, SceneConfig, load_scene
 
 
@@ -29,14 +33,17 @@ def validated(node: DictConfig) -> Config:
             "scene: has no schema; begin the file's defaults list with e.g. `- llff_schema`"
         )
     _refuse_unselected(node)
+    node = deepcopy(node)
     if scene.layout is None:
-        node = deepcopy(node)
         node.scene.layout = load_scene(scene).layout
+    plugins = {str(name): make_plugin(str(name), node.reg[name]) for name in node.reg}
+    node.reg = {}
     config = OmegaConf.to_object(node)
     if not isinstance(config, Config):
         raise NerfregError(
             "the configuration has no schema; begin its defaults list with `- schema`"
         )
+    config.reg = plugins
     Hooks(config.reg)  # refuses what cannot work together before anything is read
     return config
 
@@ -49,6 +56,8 @@ def _refuse_unknown(node: DictConfig, path: str = "") -> None:
         if dataclasses.is_dataclass(schema)
         else None
     )
+    if known is not None and schema is not None and issubclass(schema, Regularizer):
+        known |= {PLUGIN_KEY}
     for key in map(str, node):
         if known is not None and key not in known:
             raise NerfregError(f"unknown key '{path}{key}'; {nearest(key, known)}")
@@ -58,7 +67,18 @@ def _refuse_unknown(node: DictConfig, path: str = "") -> None:
 
 
 def _refuse_unselected(node: DictConfig) -> None:
-    for name in node.reg:
-        cls = OmegaConf.get_type(node.reg, str(name))
+    plugins = known_plugins()
+    for name in map(str, node.reg):
+        cls = OmegaConf.get_type(node.reg, name)
         if not (cls and issubclass(cls, Regularizer)):
             raise NerfregError(f"reg.{name}: not a selected plugin; select it by +reg={name}")
+        address = str(node.reg[name][PLUGIN_KEY])
+        plugin = find_plugin(address, plugins)
+        if plugin is not None and plugin.cls is not cls:
+            raise NerfregError(
+                f"reg.{name}.{PLUGIN_KEY}={address}: cannot be changed; "
+                f"select it by +reg={address}@{name}"
+            )
+        # A preset may name an instance without asking (`- kl@mine` is Hydra's own).
+        if name != split_choice(address)[1] and (why := alias_refusal(name, plugins)):
+            raise NerfregError(f"+reg={address}@{name}: {why}")

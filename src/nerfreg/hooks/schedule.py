@@ -4,11 +4,16 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_right
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 from nerfreg.errors import NerfregError, nearest
 
 KINDS = ("constant", "linear", "exponential", "cosine", "piecewise")
+EXAMPLE = "{schedule: linear, from: 1e-3, to: 0}"
+NEEDED = {"constant": ("from",), "piecewise": ("points",)}
+"""Keys that a schedule must have in a configuration; other kinds need two numbers, from and to."""
 
 
 @dataclass(frozen=True)
@@ -57,6 +62,49 @@ class Schedule:
         if self.kind == "exponential" and not (self.first > 0 and self.last > 0):
             raise NerfregError("schedule exponential: from and to must be positive")
 
+    @classmethod
+    def read(cls, mapping: Mapping[str, Any]) -> Schedule:
+        """Read a schedule as it stands in a configuration.
+
+        Args:
+            mapping: `schedule` (the kind), and for it `from` ("constant"), `points` ("piecewise")
+                or `from`, `to` and, if they are not 0 and 1, `start` and `end` (all others).
+
+        Raises:
+            NerfregError: It is no schedule; names key and value.
+        """
+        kind = mapping.get("schedule")
+        if not isinstance(kind, str):
+            raise NerfregError(f"a schedule names its kind, as in {EXAMPLE}")
+        if kind not in KINDS:
+            raise NerfregError(f"schedule={kind}: {nearest(kind, KINDS)}")
+        needed = NEEDED.get(kind, ("from", "to"))
+        known = ("schedule", *needed, *(("start", "end") if "to" in needed else ()))
+        for key in map(str, mapping):
+            if key not in known:
+                hint = nearest(key, known)
+                raise NerfregError(f"unknown key '{key}' in a {kind} schedule; {hint}")
+        for key in needed:
+            if key not in mapping:
+                raise NerfregError(f"a {kind} schedule needs '{key}'")
+        if kind == "piecewise":
+            return cls(kind, points=_points(mapping["points"]))
+        names = {"from": "first", "to": "last", "start": "start", "end": "end"}
+        given = {key: value for key, value in mapping.items() if key != "schedule"}
+        numbers: dict[str, Any] = {names[key]: _number(key, given[key]) for key in given}
+        return cls(kind, **numbers)
+
+    def written(self) -> dict[str, Any]:
+        """Return the schedule as it stands in a configuration, without what is the default."""
+        if self.kind == "piecewise":
+            return {"schedule": self.kind, "points": [[*point] for point in self.points]}
+        whole = {"schedule": self.kind, "from": self.first}
+        if self.kind == "constant":
+            return whole
+        window = {"start": self.start} if self.start != 0 else {}
+        window |= {"end": self.end} if self.end != 1 else {}
+        return {**whole, "to": self.last, **window}
+
     @property
     def values(self) -> tuple[float, ...]:
         """The values at its corners; all others lie between the least and the greatest of them."""
@@ -85,3 +133,23 @@ class Schedule:
             return self.points[max(after - 1, 0)][1]
         (first, low), (last, high) = self.points[after - 1 : after + 1]
         return low + (high - low) * (fraction - first) / (last - first)
+
+
+def _number(key: str, value: object) -> float:
+    # YAML reads 1e-3 without a decimal point as a string, which float understands.
+    if not isinstance(value, bool) and isinstance(value, int | float | str):
+        try:
+            return float(value)
+        except ValueError:
+            pass
+    raise NerfregError(f"{key}={value}: must be a number")
+
+
+def _points(value: object) -> tuple[tuple[float, float], ...]:
+    wanted = "must be pairs [share, value], as in [[0, 1e-3], [0.5, 0]]"
+    if not isinstance(value, list) or not value:
+        raise NerfregError(f"points={value}: {wanted}")
+    for point in value:
+        if not isinstance(point, list) or len(point) != 2:
+            raise NerfregError(f"points={value}: {wanted}")
+    return tuple((_number("points", share), _number("points", at)) for share, at in value)

@@ -8,14 +8,17 @@ from pathlib import Path
 from typing import Any
 
 import yaml
-from omegaconf import OmegaConf
 
+from nerfreg.config.plugin import saved_settings
+from nerfreg.config.plugin_store import split_choice
 from nerfreg.config.schema import Config
 from nerfreg.config.search_path import options
 from nerfreg.errors import NerfregError
 from nerfreg.files import write_text
 from nerfreg.prune.plan import Selection
 from nerfreg.registry import installed
+from nerfreg.registry.fields import PLUGIN_KEY
+from nerfreg.registry.plugins import plugin_name
 
 MARK = "# What `nerfreg prune` leaves"
 """How the file begins; one that begins otherwise is the user's own and is not overwritten."""
@@ -51,7 +54,12 @@ def preset_path(name: str) -> Path:
 
 def write_preset(path: Path, config: Config, kept: Selection, comments: Sequence[str]) -> None:
     """Write a preset that selects `kept` with the settings that are not their defaults."""
-    content: dict[str, Any] = {"defaults": [*kept, "_self_"]}
+    plugins = {name: plugin_name(name, config.reg[name]) for name in kept}
+    choices = [
+        plugin if split_choice(plugin)[1] == name else f"{plugin}@{name}"
+        for name, plugin in plugins.items()
+    ]
+    content: dict[str, Any] = {"defaults": [*choices, "_self_"]}
     body = yaml.safe_dump(content, default_flow_style=None, sort_keys=False, width=120)
     settings = {name: changed for name in kept if (changed := changed_settings(config, name))}
     if settings:
@@ -63,10 +71,9 @@ def changed_settings(config: Config, name: str) -> dict[str, Any]:
     """Return the fields of a plugin that differ from its defaults for the layout of the scene."""
     cls = type(config.reg[name])
     plugins = config.reg[name], cls(**cls.by_layout.get(config.scene.layout or "", {}))
-    own, defaults = (
-        OmegaConf.to_container(OmegaConf.structured(plugin), enum_to_str=True) for plugin in plugins
-    )
-    assert isinstance(own, dict) and isinstance(defaults, dict)
+    own, defaults = (saved_settings(name, plugin) for plugin in plugins)
+    # Which plugin it is stands among the defaults of the preset.
+    del own[PLUGIN_KEY]
     # Steps and shares of the budget differ by their type alone: 1 is not 1.0.
     return {
         str(key): value

@@ -16,6 +16,7 @@ from rich.console import Console
 
 from nerfreg import __version__
 from nerfreg.config.compose import compose, require_steps
+from nerfreg.config.saved import as_yaml
 from nerfreg.config.schema import Config
 from nerfreg.errors import NerfregError
 from nerfreg.files import write_json
@@ -25,6 +26,7 @@ from nerfreg.prune.preset import plain, preset_path, write_preset
 from nerfreg.prune.report import conclusions, print_report, record
 from nerfreg.prune.study import Study
 from nerfreg.prune.trials import Trials
+from nerfreg.registry.plugins import is_used
 
 
 @dataclass(frozen=True)
@@ -69,7 +71,7 @@ def run(options: PruneOptions, command: Sequence[str]) -> None:
     folder = options.folder or Path("prune", plain(scene.name))
     cells = folder / "cells.jsonl"
     design = Design(
-        tuple(str(name) for name, plugin in config.reg.items() if plugin.weight != 0),
+        tuple(str(name) for name, plugin in config.reg.items() if is_used(plugin)),
         make_folds(len(scene.train) + len(scene.test), options.folds),
         make_ladder(options.steps, config.train.steps),
         config.seed,
@@ -108,7 +110,7 @@ def _configuration(overrides: Sequence[str]) -> Config:
         raise NerfregError(f"{taken[0]}: prune chooses itself which training views it holds out")
     config = compose((*overrides, "scene.held_out=[0]"))
     require_steps(config)
-    if all(plugin.weight == 0 for plugin in config.reg.values()):
+    if not any(map(is_used, config.reg.values())):
         raise NerfregError(
             "nothing is selected that could be left out; add +reg=combinerf or a list, "
             "'+reg=[kl,entropy]'"
@@ -119,7 +121,7 @@ def _configuration(overrides: Sequence[str]) -> Config:
 def fingerprint(config: Config, stride: int) -> str:
     """Return a hash of all that a measurement depends on beside the trial."""
     scene, train = replace(config.scene, held_out=None), replace(config.train, quiet=False)
-    common = OmegaConf.structured(replace(config, name=None, seed=0, scene=scene, train=train))
-    content = OmegaConf.to_container(common, resolve=True, enum_to_str=True)
+    common = as_yaml(replace(config, name=None, seed=0, scene=scene, train=train))
+    content = OmegaConf.to_container(OmegaConf.create(common), resolve=True)
     text = json.dumps([__version__, stride, content], sort_keys=True, default=str)
     return hashlib.sha256(text.encode()).hexdigest()[:16]

@@ -21,6 +21,7 @@ from nerfreg.hooks import Regularizer
 from nerfreg.prune.ledger import Measurement
 from nerfreg.prune.plan import Trial
 from nerfreg.registry import Hooks
+from nerfreg.registry.plugins import with_changes
 from nerfreg.runs.load import prepare
 from nerfreg.scenes import Scene, load_scene
 from nerfreg.training.memory import keep_large_blocks
@@ -136,4 +137,4 @@ def in_share(plugin: Regularizer, steps: int, whole: int | None) -> Regularizer:
     start, end = moved(plugin.start), moved(plugin.end)
     if isinstance(start, int) and isinstance(end, int):
         end = max(end, start + 1)
-    return replace(plugin, start=start, end=end)
+    return with_changes(plugin, start=start, end=end)

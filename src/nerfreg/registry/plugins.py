@@ -1,21 +1,26 @@
-"""The installed plugins: entry points, and what keeps one of them from being used."""
+"""The installed plugins: entry points, the names by which they are selected, and their faults."""
 
 from __future__ import annotations
 
 import inspect
+import re
 import tomllib
-from collections import Counter
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from importlib.metadata import EntryPoint, PackageNotFoundError, distribution, entry_points
 from pathlib import Path
+from typing import Any
 
 from nerfreg import __version__
 from nerfreg.errors import nearest
 from nerfreg.hooks import PROJECT, HookSpecs, Regularizer
+from nerfreg.registry.mistakes import import_mistake, mistake_of
 
 GROUP = "nerfreg.plugins"
 HOOKS = tuple(name for name in vars(HookSpecs) if name.startswith("nerfreg_"))
 CHECK_HOOKS = ("nerfreg_reference", "nerfreg_contract")
+ADDRESS = "_plugin"
+"""Attribute of an instance with the address of its plugin, set by the configuration."""
 
 
 @dataclass(frozen=True)
@@ -23,11 +28,12 @@ class PluginInfo:
     """One entry point.
 
     Attributes:
-        name: Of the entry point, by which the plugin is selected.
+        name: Of the entry point.
         package: The distribution that it comes from.
         version: Of that distribution.
         cls: The plugin's class; None if it cannot be used.
         error: Why it cannot be used.
+        rivals: Other packages with a plugin of this name.
     """
 
     name: str
@@ -35,6 +41,17 @@ class PluginInfo:
     version: str
     cls: type[Regularizer] | None
     error: str = ""
+    rivals: tuple[str, ...] = ()
+
+    @property
+    def has_name(self) -> bool:
+        """Whether the name alone selects the plugin: nobody else has it, or it is a built-in."""
+        return not self.rivals or self.package == PROJECT
+
+    @property
+    def address(self) -> str:
+        """What selects the plugin: its name, or "package:name" where the name is another's."""
+        return self.name if self.has_name else f"{self.package}:{self.name}"
 
     @property
     def hook_points(self) -> tuple[str, ...]:
@@ -48,29 +65,132 @@ class PluginInfo:
         return inspect.cleandoc(self.cls.__doc__ or "").partition("\n")[0] if self.cls else ""
 
     @property
+    def clash(self) -> str:
+        """What the name is not: the plugin's own; empty if it is."""
+        if self.has_name:
+            return ""
+        owner = f"that of a built-in; select this one by +reg={self.address}"
+        others = f"also that of {' and '.join(self.rivals)}; select it by +reg={self.address}"
+        return f"the name '{self.name}' is {owner if PROJECT in self.rivals else others}"
+
+    @property
     def state(self) -> str:
-        """What is wrong with the plugin; `ok` if nothing is."""
-        return self.error or "ok"
+        """What is wrong with the plugin or its name; `ok` if nothing is."""
+        return self.error or self.clash or "ok"
 
 
 def installed() -> list[PluginInfo]:
     """Return all plugins by name, the broken ones included."""
-    found = [(point.name, point, *_source(point)) for point in _entry_points()]
-    claims = Counter(name for name, *_ in found)
+    found = [(point, *_source(point)) for point in _entry_points()]
     plugins = []
-    for name, point, package, version in sorted(found, key=lambda item: (item[0], item[2])):
-        if claims[name] > 1:
-            packages = sorted(other for claimed, _, other, _ in found if claimed == name)
-            error = f"claimed by both {' and '.join(packages)}; uninstall one of them"
-            plugins.append(PluginInfo(name, package, version, None, error))
-            continue
-        try:
-            cls = point.load()
-            error = _mistake(cls)
-        except Exception as exception:  # a foreign module may raise anything
-            error = f"failed to import: {type(exception).__name__}: {exception}".partition("\n")[0]
-        plugins.append(PluginInfo(name, package, version, None if error else cls, error))
+    for point, package, version in sorted(found, key=lambda item: (item[0].name, item[1])):
+        rivals = {other for claimed, other, _ in found if claimed.name == point.name} - {package}
+        plugin = PluginInfo(point.name, package, version, None, rivals=tuple(sorted(rivals)))
+        plugins.append(_loaded(plugin, point))
     return plugins
+
+
+def by_address(plugins: Iterable[PluginInfo]) -> dict[str, PluginInfo]:
+    """Return plugins by all that selects them: "package:name", and the name where it is theirs."""
+    found = {}
+    for plugin in plugins:
+        found[plugin.address] = found[f"{plugin.package}:{plugin.name}"] = plugin
+    return found
+
+
+def find_plugin(address: str, plugins: Iterable[PluginInfo]) -> PluginInfo | None:
+    """Return the plugin that a name or a "package:name" selects; None if there is none."""
+    package, colon, name = address.rpartition(":")
+    known = by_address(plugins)
+    for key, plugin in known.items():
+        # Indexes of packages do not tell - from _ either.
+        if key == address or (
+            colon and plugin.name == name and _same(plugin.package) == _same(package)
+        ):
+            return plugin
+    return None
+
+
+def why_not(address: str, plugins: Sequence[PluginInfo]) -> str:
+    """Return why nothing can be selected by this name of a plugin; empty if nobody claims it."""
+    plugin = find_plugin(address, plugins)
+    if plugin is not None:
+        return f"plugin '{address}' of package {plugin.package}: {plugin.error}"
+    claims = [plugin for plugin in plugins if plugin.name == address]
+    if claims:
+        packages = " and ".join(plugin.package for plugin in claims)
+        choices = " or ".join(f"+reg={plugin.address}" for plugin in claims)
+        return f"plugin '{address}' is claimed by both {packages}; write {choices}"
+    package, colon, name = address.rpartition(":")
+    if colon:
+        own = [plugin.name for plugin in plugins if _same(plugin.package) == _same(package)]
+        if not own:
+            hint = nearest(package, {plugin.package for plugin in plugins})
+            return f"no plugin comes from package '{package}'; {hint}"
+        return f"package {package} has no plugin '{name}'; {nearest(name, own)}"
+    return ""
+
+
+def plugin_name(name: str, plugin: Regularizer) -> str:
+    """Return which plugin an instance is, by its address (`PluginInfo.address`).
+
+    Args:
+        name: The name of the instance in the configuration, which is the answer for one that no
+            configuration made.
+        plugin: The instance.
+    """
+    return str(vars(plugin).get(ADDRESS, name))
+
+
+def conflicts_of(plugin: Regularizer, plugins: Mapping[str, Regularizer]) -> list[str]:
+    """Return the names of the instances with which a plugin cannot be active in one run.
+
+    Args:
+        plugin: The plugin that says so (`Regularizer.conflicts`).
+        plugins: All instances of the run, by name.
+    """
+    named = {name: plugin_name(name, other) for name, other in plugins.items()}
+    return [name for name, address in named.items() if address in plugin.conflicts]
+
+
+def is_used(plugin: Regularizer) -> bool:
+    """Return whether a plugin has a part in its run, at least at times: its weight is not 0."""
+    return plugin.weight != 0 or "weight" in plugin.schedules
+
+
+def with_changes(plugin: Regularizer, **changes: Any) -> Regularizer:
+    """Return a new instance of a plugin with its configuration, schedules included, changed."""
+    made = replace(plugin, **changes)
+    for key in (ADDRESS, "schedules"):
+        if key in vars(plugin):
+            vars(made)[key] = vars(plugin)[key]
+    return made
+
+
+def implemented(cls: type[Regularizer]) -> tuple[str, ...]:
+    """Return the hooks that a plugin implements, in the order of a run."""
+    return tuple(hook for hook in HOOKS if hasattr(getattr(cls, hook, None), f"{PROJECT}_impl"))
+
+
+def origin(cls: type[Regularizer]) -> str:
+    """Return the package that a plugin's class comes from, with its version."""
+    for plugin in installed():
+        if plugin.cls is cls or (plugin.cls is not None and plugin.cls in cls.__bases__):
+            return f"{plugin.package} {plugin.version}"
+    return cls.__module__
+
+
+def _loaded(plugin: PluginInfo, point: EntryPoint) -> PluginInfo:
+    try:
+        cls = point.load()
+        error = mistake_of(cls)
+    except Exception as exception:  # a foreign module may raise anything
+        error = import_mistake(exception)
+    return replace(plugin, error=error) if error else replace(plugin, cls=cls)
+
+
+def _same(package: str) -> str:
+    return re.sub(r"[-_.]+", "-", package).lower()
 
 
 def _entry_points() -> list[EntryPoint]:
@@ -98,31 +218,3 @@ def _source(point: EntryPoint) -> tuple[str, str]:
     if point.dist is None:
         return PROJECT, __version__
     return point.dist.name, point.dist.version
-
-
-def implemented(cls: type[Regularizer]) -> tuple[str, ...]:
-    """Return the hooks that a plugin implements, in the order of a run."""
-    return tuple(hook for hook in HOOKS if hasattr(getattr(cls, hook, None), f"{PROJECT}_impl"))
-
-
-def _mistake(cls: object) -> str:
-    """What keeps the object behind an entry point from being a plugin, or nothing."""
-    if not (isinstance(cls, type) and issubclass(cls, Regularizer)):
-        return f"{cls!r} does not derive from nerfreg.Regularizer"
-    if "__dataclass_params__" not in vars(cls):
-        return f"class {cls.__name__} is not decorated with @dataclass"
-    for name in dir(cls):
-        is_hook = hasattr(getattr(cls, name, None), f"{PROJECT}_impl")
-        if (is_hook or name.startswith("nerfreg_")) and name not in HOOKS:
-            return f"{cls.__name__}.{name} is not a hook; {nearest(name, HOOKS)}"
-        if name in HOOKS and not is_hook:
-            return f"{cls.__name__}.{name} is not decorated with @hookimpl"
-    return ""
-
-
-def origin(cls: type[Regularizer]) -> str:
-    """Return the package that a plugin's class comes from, with its version."""
-    for plugin in installed():
-        if plugin.cls is cls or (plugin.cls is not None and plugin.cls in cls.__bases__):
-            return f"{plugin.package} {plugin.version}"
-    return cls.__module__

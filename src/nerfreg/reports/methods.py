@@ -74,6 +74,8 @@ def identity(run: NamedRun) -> dict[str, str]:
     settings = run.settings.items()
     known = {key: _text(value) for key, value in settings if key == "device" or not _silent(key)}
     known |= {f"version of {package}": str(v) for package, v in run.versions.items() if v}
+    # Which plugins these are is said by the next; older folders say it by their names alone.
+    known = {key: value for key, value in known.items() if not _names_a_plugin(key)}
     known["reg"] = _regularizers(run.settings)
     if run.threads is not None and run.final is not None:
         known["threads"] = str(run.threads)
@@ -165,8 +167,17 @@ def _differing(known: Sequence[Mapping[str, str]], keys: Sequence[str]) -> list[
 
 
 def _regularizers(settings: Mapping[str, Any]) -> str:
-    selected = {key.split(".")[1] for key in settings if key.startswith("reg.")}
+    names = {key.split(".")[1] for key in settings if key.startswith("reg.")}
+    # As on the command line: the same plugin may be there twice, under two names.
+    plugins = {name: str(settings.get(f"reg.{name}.plugin", name)) for name in names}
+    own = {name: plugin.rpartition(":")[2] for name, plugin in plugins.items()}
+    selected = (plugins[name] if own[name] == name else f"{plugins[name]}@{name}" for name in names)
     return "+".join(sorted(selected)) or VANILLA
+
+
+def _names_a_plugin(key: str) -> bool:
+    parts = key.split(".")
+    return len(parts) == 3 and parts[0] == "reg" and parts[2] == "plugin"
 
 
 def _silent(key: str) -> bool:
@@ -176,4 +187,8 @@ def _silent(key: str) -> bool:
 def _text(value: object) -> str:
     if isinstance(value, float):
         return format(value, "g")
+    if isinstance(value, Mapping):
+        return f"{{{','.join(f'{key}:{_text(item)}' for key, item in value.items())}}}"
+    if isinstance(value, list):
+        return f"[{','.join(map(_text, value))}]"
     return "null" if value is None else str(value).replace(" ", "")

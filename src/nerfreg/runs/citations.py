@@ -14,6 +14,8 @@ from omegaconf import OmegaConf
 from nerfreg.errors import NerfregError, nearest
 from nerfreg.hooks import Regularizer
 from nerfreg.registry import installed
+from nerfreg.registry.fields import PLUGIN_KEY
+from nerfreg.registry.plugins import find_plugin
 
 BIBLIOGRAPHY = "references.bib"
 """File in a package that holds the BibTeX entries its plugins name by their keys."""
@@ -35,16 +37,19 @@ def cite(run: Path) -> str:
     path = run / ".hydra" / "config.yaml"
     try:
         config = OmegaConf.load(path)
-        selected = list(OmegaConf.select(config, "reg", default={}))
+        selected = {
+            str(name): str(OmegaConf.select(settings, PLUGIN_KEY, default=name))
+            for name, settings in OmegaConf.select(config, "reg", default={}).items()
+        }
         with_lpips = bool(OmegaConf.select(config, "eval.lpips", default=False))
     except Exception as error:
         raise NerfregError(
             f"{path}: not the configuration of a run ({type(error).__name__})"
         ) from error
-    known = {plugin.name: plugin for plugin in installed()}
+    known = installed()
     entries = _core_entries(with_lpips)
-    for name in selected:
-        plugin = known.get(name)
+    for name, address in selected.items():
+        plugin = find_plugin(address, known)
         if plugin is None or plugin.cls is None:
             raise NerfregError(
                 f"{path}: reg.{name} is not installed here, its source cannot be told"

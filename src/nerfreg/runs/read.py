@@ -21,6 +21,8 @@ from nerfreg.runs.records import EvaluationRecord, RunRecord
 CONFIG, OVERRIDES = Path(".hydra", "config.yaml"), Path(".hydra", "overrides.yaml")
 OTHER_VERB = "cameras.png"
 """Found in a folder with a configuration that `nerfreg scene` made and not `nerfreg train`."""
+SCHEDULE = "schedule"
+"""A key that every schedule has."""
 LONGEST_REASON = 300
 CONTENTS = (RENDERS, "checkpoint", RECORDED_STEPS)
 """Folders inside a run's folder, which hold no runs."""
@@ -171,11 +173,12 @@ def _mapping(value: object) -> dict[str, Any]:
 
 
 def _flat(node: Any, prefix: str = "") -> dict[str, Any]:
-    """Join nested keys by dots."""
+    """Join nested keys by dots; a schedule is one value."""
     flat: dict[str, Any] = {}
     for key, value in _mapping(node).items():
         name = f"{prefix}{key}"
-        flat |= _flat(value, f"{name}.") if isinstance(value, Mapping) else {name: value}
+        nested = isinstance(value, Mapping) and SCHEDULE not in value
+        flat |= _flat(value, f"{name}.") if nested else {name: value}
     return flat
 
 

@@ -20,7 +20,7 @@ from safetensors import SafetensorError, safe_open
 from safetensors.torch import save_file
 from torch import Tensor
 
-from nerfreg.config.saved import restored
+from nerfreg.config.saved import as_yaml, restored
 from nerfreg.config.schema import Config
 from nerfreg.errors import NerfregError
 from nerfreg.field import RadianceField
@@ -135,7 +135,7 @@ def _write(
     step = {key: getattr(batch.step, key) for key in ("index", "total", "fraction", "bounds")}
     metadata = {
         "format": FORMAT,
-        "config": OmegaConf.to_yaml(OmegaConf.structured(config)),
+        "config": as_yaml(config),
         "step": json.dumps(step),
         "faults": json.dumps([fault.what for fault in faults]),
         "scene": json.dumps(

@@ -4,16 +4,17 @@ from __future__ import annotations
 
 import platform
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
 from torch import Tensor
 
+from nerfreg.config.plugin import settings_of
 from nerfreg.config.schema import Config
 from nerfreg.evaluation.scores import Scores
 from nerfreg.field.workers import threads
-from nerfreg.registry import Term
+from nerfreg.registry import Term, installed
+from nerfreg.registry.plugins import find_plugin, is_used, plugin_name
 from nerfreg.scenes import Scene
 from nerfreg.training.checkpoint import State
 from nerfreg.training.loss import label
@@ -55,7 +56,9 @@ def description(config: Config, scene: Scene) -> dict[str, Any]:
         "views": len(scene.train),
         "held_out": config.scene.held_out is not None,
         "train_views": [view_label(scene, view) for view in scene.train],
-        "regularizers": {name: asdict(plugin) for name, plugin in config.reg.items()},
+        "regularizers": {name: settings_of(plugin) for name, plugin in config.reg.items()},
+        "plugins": _plugins(config),
+        "notes": _notes(config),
         "grid": {key: getattr(config.field, key) for key in grid},
         "seed": config.seed,
         "threads": threads(),
@@ -86,7 +89,7 @@ def per_view(scene: Scene, scores: Scores) -> dict[str, dict[str, float | None]]
 
 
 def summary(results: dict[str, Any]) -> Iterator[str]:
-    """Yield the scores of a run in one line, and what it cost in another."""
+    """Yield the scores of a run in one line, what it cost in another, and what must be noted."""
     names = ("psnr", "ssim", "lpips", "average", "depth_rmse")
     yield "  ".join(
         f"{name} {'n/a' if results[name] is None else format(results[name], '.4g')}"
@@ -96,11 +99,32 @@ def summary(results: dict[str, Any]) -> Iterator[str]:
         f"{results['step']} steps in {results['train_seconds']:.1f} s of training, "
         f"{results['points_per_second'] / 1e6:.2f} million points a second"
     )
+    for name, note in results.get("notes", {}).items():
+        yield f"note of {name}: {note}"
 
 
 def view_label(scene: Scene, view: int) -> str:
     """Return the name of a view in a form that can be part of a file name."""
     return scene.labels[view].replace("/", "_") if scene.labels else f"view_{view}"
+
+
+def _plugins(config: Config) -> dict[str, dict[str, str | None]]:
+    """Return which plugins take part, by the names of their instances, and their packages."""
+    known = installed()
+    found = {}
+    for name, plugin in config.reg.items():
+        if is_used(plugin):
+            address = plugin_name(name, plugin)
+            info = find_plugin(address, known)
+            package, version = (info.package, info.version) if info else (None, None)
+            found[name] = {"plugin": address, "package": package, "version": version}
+    return found
+
+
+def _notes(config: Config) -> dict[str, str]:
+    """Return what plugins say of the scores of a run in which they take part."""
+    used = {name: plugin for name, plugin in config.reg.items() if is_used(plugin)}
+    return {name: plugin.evaluation_note for name, plugin in used.items() if plugin.evaluation_note}
 
 
 def _version(package: str) -> str | None:
