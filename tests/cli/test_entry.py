@@ -91,7 +91,7 @@ def test_help_of_a_verb(verb: str, capsys: pytest.CaptureFixture[str]) -> None:
         (["train", "+foo=1"], "unknown key 'foo'"),
         (
             ["train", "+reg=kl", "reg.kl.weight=heavy"],
-            "reg.kl.weight: Value 'heavy' of type 'str' could not be",
+            "reg.kl.weight: 'heavy' is neither a number nor a schedule such as {schedule: linear,",
         ),
         (
             ["train", "+reg=kl", "reg.kl.weight=-1"],

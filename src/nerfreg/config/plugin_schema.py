@@ -54,9 +54,8 @@ def typed_node(address: str, cls: type[Regularizer]) -> DictConfig:
         elif choices := _choices(hint):
             optional = type(None) in get_args(hint)
             content[name] = ChoiceNode(value, name, choices, optional)
-    key = StringNode(address, key=PLUGIN_KEY, is_optional=False)
-    node.__dict__["_content"] = {PLUGIN_KEY: key, **content}
-    for child in node.__dict__["_content"].values():
+    content[PLUGIN_KEY] = StringNode(address, key=PLUGIN_KEY, is_optional=False)
+    for child in content.values():
         child._set_parent(node)
     return node
 
