@@ -54,17 +54,16 @@ def check_overrides(overrides: Sequence[str]) -> None:
             if re.fullmatch(r"[+-]?[\d.]+(e[+-]?\d+)?|true|false", value, re.IGNORECASE):
                 hint = nearest(value, choices_on_disk(group))
                 raise NerfregError(f"unknown choice {group}={value}; {hint}")
-    choices = [
-        override.split("=", 1)[1].strip("[]")
-        for override in overrides
-        if re.match(r"\+*reg=", override)
-    ]
+    chosen = [override for override in overrides if re.match(r"\+*reg=", override)]
+    choices = [override.split("=", 1)[1].strip("[]") for override in chosen]
     if len(choices) > 1:
         raise NerfregError(
             f"reg is chosen {len(choices)} times; write one list: '+reg=[{','.join(choices)}]'"
         )
-    for choice in choices:
-        _refuse_equal_names([word.strip(" '\"") for word in choice.split(",")])
+    for override in chosen:
+        # Each list by itself: a sweep has several.
+        for listed in re.findall(r"\[([^\]]*)\]", override):
+            _refuse_equal_names([word.strip(" '\"") for word in listed.split(",")])
 
 
 def explain(error: Exception, plugins: Sequence[PluginInfo], overrides: Sequence[str] = ()) -> str:
@@ -111,7 +110,7 @@ def explain(error: Exception, plugins: Sequence[PluginInfo], overrides: Sequence
 
 
 def _refuse_equal_names(choices: Sequence[str]) -> None:
-    """Refuse two plugins whose settings would stand under one key (but not sweeps of them)."""
+    """Refuse two plugins whose settings would stand under one key."""
     names = [split_choice(choice)[1] for choice in choices]
     for choice, name in zip(choices, names, strict=True):
         if names.count(name) > 1 and choices.count(choice) == 1:
