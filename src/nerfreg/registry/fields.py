@@ -92,7 +92,10 @@ def _wrong_names(cls: type[Regularizer]) -> Iterator[str]:
         if name in base:
             continue
         if name == PLUGIN_KEY:
-            yield f"{cls.__name__}.{name} is a field, and the key that says which plugin this is"
+            yield (
+                f"{cls.__name__}.{name} is a field, and the key that says which plugin this is; "
+                "give it another name"
+            )
         # A property may become a field: `color_inputs: int = 8`.
         elif not isinstance(inspect.getattr_static(Regularizer, name, property()), property):
             yield (
