@@ -30,6 +30,11 @@ def bad_packages(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return install(tmp_path_factory.mktemp("bad"), "broken", "twin_a", "twin_b")
 
 
+@pytest.fixture(scope="session")
+def namesake_package(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return install(tmp_path_factory.mktemp("namesake"), "namesake")
+
+
 @pytest.fixture(autouse=True)
 def forget_strangers() -> Iterator[None]:
     """What a test registers must not be known to the next."""

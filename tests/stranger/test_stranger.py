@@ -2,17 +2,25 @@
 
 from __future__ import annotations
 
+import json
 import subprocess
 import sys
+from functools import partial
 from pathlib import Path
 
 import pytest
 import torch
 
+from nerfreg import NerfregError
 from nerfreg.cli import main
+from nerfreg.config.compose import compose as compose_in_program
 from nerfreg.registry import Hooks, installed
 
 PACKAGES = Path(__file__).parent / "packages"
+SIZE = (
+    "scene.size=8", "scene.views=2", "scene.test_views=1", "field.levels=2", "field.log2_entries=8",
+)  # fmt: skip
+BUDGET = ("train.steps=2", "train.rays=8", "train.quiet=true", "eval.lpips=false", "eval.count=1")
 
 
 @pytest.fixture
@@ -109,34 +117,119 @@ def test_broken_package_is_an_error_when_selected(capsys: pytest.CaptureFixture[
 
 
 @pytest.mark.usefixtures("bad")
-def test_two_packages_with_one_name_are_both_named(capsys: pytest.CaptureFixture[str]) -> None:
+def test_two_packages_with_one_name_are_both_named(
+    compose, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert main(["train", "--cfg", "job", "+reg=twin"]) == 2
     error = capsys.readouterr().err.splitlines()[-1]
-    assert "claimed by both nerfreg-twin-a and nerfreg-twin-b" in error
-    assert [plugin.package for plugin in installed() if plugin.name == "twin"] == [
-        "nerfreg-twin-a",
-        "nerfreg-twin-b",
-    ]
+    claim = "plugin 'twin' is claimed by both nerfreg-twin-a and nerfreg-twin-b"
+    assert claim in error and "write +reg=nerfreg-twin-a:twin or +reg=nerfreg-twin-b:twin" in error
+    reg = compose("+reg=[nerfreg-twin-a:twin,nerfreg-twin-b:twin@second]").reg
+    modules = {name: type(plugin).__module__ for name, plugin in reg.items()}
+    assert modules == {"twin": "nerfreg_twin_a", "second": "nerfreg_twin_b"}
+
+
+@pytest.mark.usefixtures("bad")
+def test_both_are_listed_by_what_selects_them(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["plugins"]) == 0
+    rows = [line.split("\t") for line in capsys.readouterr().out.splitlines()]
+    states = {row[0]: row[-1] for row in rows if row[0].endswith("twin")}
+    assert states == {
+        "nerfreg-twin-a:twin": "the name 'twin' is also that of nerfreg-twin-b; "
+        "select it by +reg=nerfreg-twin-a:twin",
+        "nerfreg-twin-b:twin": "the name 'twin' is also that of nerfreg-twin-a; "
+        "select it by +reg=nerfreg-twin-b:twin",
+    }
+
+
+@pytest.fixture
+def namesake(namesake_package: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(namesake_package)
+
+
+@pytest.mark.usefixtures("namesake")
+def test_a_built_in_stays_usable_beside_a_namesake(
+    compose, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert type(compose("+reg=kl").reg["kl"]).__name__ == "KLDivergence"
+    assert type(compose("+reg=combinerf").reg["kl"]).__name__ == "KLDivergence"
+    assert main(["train", "--cfg", "job", "+reg=kl"]) == 0
+    assert capsys.readouterr().err == (
+        "nerfreg: warning: package nerfreg-namesake: the name 'kl' is that of a built-in; "
+        "select this one by +reg=nerfreg-namesake:kl\n"
+    )
+
+
+@pytest.mark.usefixtures("namesake")
+def test_a_namesake_is_addressed_by_its_package(compose) -> None:
+    plugin = compose("+reg=nerfreg-namesake:kl", "reg.kl.power=3").reg["kl"]
+    assert (type(plugin).__name__, plugin.power, plugin.weight) == ("Other", 3.0, 0.5)
+    both = compose(
+        "+reg=[kl,nerfreg_namesake:kl@theirs]", "scene.layout=forward", "reg.theirs.power=3"
+    ).reg
+    assert {name: plugin.weight for name, plugin in both.items()} == {"kl": 1e-5, "theirs": 0.25}
+    assert both["theirs"].power == 3.0 and both["theirs"].reduction == "mean"
+
+
+@pytest.mark.usefixtures("namesake")
+@pytest.mark.parametrize(
+    ("overrides", "message"),
+    [
+        (
+            ["+reg=[kl,nerfreg-namesake:kl]"],
+            "two plugins would be called 'kl'; give one of them another, as in +reg=plugin@name",
+        ),
+        (
+            ["+reg=nerfreg-namesake:kll"],
+            "package nerfreg-namesake has no plugin 'kll'; did you mean 'kl'?",
+        ),
+        (["+reg=nerfreg-namesake:kl", "reg.kl.power=0.5"], "reg.kl: ValueError: power is below 1"),
+        (
+            ["+reg=nerfreg-namesake:kl@x", "reg.x.power={schedule:linear,from:1,to:0.5}"],
+            "reg.x: ValueError: power is below 1",
+        ),
+        (
+            ["+reg=nerfreg-namesake:kl", "reg.kl.reduction=man"],
+            "reg.kl.reduction: 'man' is no choice; did you mean 'mean'?",
+        ),
+    ],
+)
+def test_what_a_namesake_refuses(overrides: list[str], message: str) -> None:
+    with pytest.raises(NerfregError) as caught:
+        compose_in_program(overrides)
+    assert message in str(caught.value)
+
+
+@pytest.mark.usefixtures("namesake")
+def test_a_run_with_two_of_a_name_is_scored_again(
+    environment: dict[str, str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ["+reg=[kl,nerfreg-namesake:kl@theirs]", "hydra.run.dir=run"]
+    schedule = "reg.theirs.power={schedule:exponential,from:1,to:4,end:0.5}"
+    command = [sys.executable, "-m", "nerfreg", "train", *words, schedule, *SIZE, *BUDGET]
+    run = partial(subprocess.run, cwd=tmp_path, env=environment, check=True, timeout=300)
+    trained = run(command, capture_output=True, text=True).stdout
+    assert "note of theirs: Scores are those of a namesake.\n" in trained
+    run([sys.executable, "-m", "nerfreg", "evaluate", "run"])
+    results = json.loads((tmp_path / "run" / "results.json").read_text(encoding="utf-8"))
+    assert results["plugins"]["theirs"] == {
+        "plugin": "nerfreg-namesake:kl",
+        "package": "nerfreg-namesake",
+        "version": "3.1",
+    }
+    assert results["plugins"]["kl"]["package"] == "nerfreg"
+    assert results["notes"] == {"theirs": "Scores are those of a namesake."}
+    written = {"schedule": "exponential", "from": 1.0, "to": 4.0, "end": 0.5}
+    assert results["regularizers"]["theirs"]["power"] == written
+    assert main(["cite", str(tmp_path / "run")]) == 0
+    bibliography = capsys.readouterr().out
+    assert "{stranger2021other," in bibliography and "{kim2022infonerf," in bibliography
 
 
 def test_trains_in_a_process_of_its_own(
     good: None, environment: dict[str, str], tmp_path: Path
 ) -> None:
     """No import hook for shapes: what a user of that package would do."""
-    size = [
-        "scene.size=8",
-        "scene.views=2",
-        "scene.test_views=1",
-        "field.levels=2",
-        "field.log2_entries=8",
-    ]
-    budget = [
-        "train.steps=2",
-        "train.rays=8",
-        "train.quiet=true",
-        "eval.lpips=false",
-        "eval.count=1",
-    ]
     command = [
         sys.executable,
         "-m",
@@ -144,8 +237,8 @@ def test_trains_in_a_process_of_its_own(
         "train",
         "+reg=[binary_opacity,kl]",
         "hydra.run.dir=run",
-        *size,
-        *budget,
+        *SIZE,
+        *BUDGET,
     ]
     subprocess.run(command, cwd=tmp_path, env=environment, check=True, timeout=300)
     record = (tmp_path / "run" / "metrics.jsonl").read_text(encoding="utf-8").splitlines()[-1]

@@ -85,7 +85,7 @@ class ChoiceNode(ValueNode):
         raise ValidationError(f"'{value}' is no choice; {hint}")
 
     def __deepcopy__(self, memo: dict[int, Any]) -> ChoiceNode:
-        copy = type(self)()
+        copy = type(self)(choices=self.__dict__["choices"])
         self._deepcopy_impl(copy, memo)
         return copy
 

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from copy import deepcopy
 from enum import Enum
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -81,14 +82,10 @@ def make_plugin(name: str, node: DictConfig) -> Regularizer:
     del plain.__dict__["_content"][PLUGIN_KEY]
     for key, schedule in schedules.items():
         plain[key] = schedule.at(0.0)
-    try:
-        made = OmegaConf.to_object(plain)
-        assert isinstance(made, Regularizer)
-        for key, schedule in schedules.items():
-            _try_corners(made, f"reg.{name}.{key}", key, schedule)
-    except NerfregError as error:
-        # A plugin calls itself by its own name, whatever the name of this instance.
-        raise NerfregError(str(error).replace(f"reg.{address}.", f"reg.{name}.")) from error
+    made = _constructed(name, address, lambda: OmegaConf.to_object(plain))
+    for key, schedule in schedules.items():
+        for value in schedule.values:
+            _constructed(name, address, partial(dataclasses.replace, made, **{key: value}))
     # On the instance, since neither is a field.
     vars(made).update({"schedules": schedules, ADDRESS: address})
     return made
@@ -122,12 +119,20 @@ def _schedule(where: str, node: DictConfig, key: str) -> Schedule | None:
     return schedule
 
 
-def _try_corners(made: Regularizer, where: str, key: str, schedule: Schedule) -> None:
-    for value in schedule.values:
-        try:
-            dataclasses.replace(made, **{key: value})
-        except NerfregError as error:
-            raise NerfregError(f"{where}: a schedule that comes to {value:g}: {error}") from error
+def _constructed(name: str, address: str, make: Callable[[], Any]) -> Regularizer:
+    try:
+        made = make()
+    except OmegaConfBaseException:
+        raise
+    except NerfregError as error:
+        # A plugin calls itself by its own name, whatever the name of this instance.
+        own = f"reg.{address.rpartition(':')[2]}."
+        raise NerfregError(str(error).replace(own, f"reg.{name}.")) from error
+    except Exception as error:  # the __post_init__ of a foreign package may raise anything
+        reason = f"{type(error).__name__}: {error}".partition("\n")[0]
+        raise NerfregError(f"reg.{name}: {reason}") from error
+    assert isinstance(made, Regularizer)
+    return made
 
 
 def _in_yaml(value: Any) -> Any:

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
-from importlib.metadata import EntryPoint
-from pathlib import Path
+from dataclasses import dataclass, field
 from typing import ClassVar
 
 import pytest
@@ -14,7 +12,7 @@ from torch import nn
 from nerfreg import Needs, NerfregError, Regularizer, hookimpl
 from nerfreg.field.layers import Linear
 from nerfreg.hooks import Samples
-from nerfreg.registry import Hooks, installed, plugins
+from nerfreg.registry import Hooks
 from nerfreg.scenes.cameras import Cameras
 from nerfreg.scenes.scene import Photographs
 
@@ -198,43 +196,6 @@ def test_argument_that_the_core_does_not_pass_is_refused() -> None:
 
 
 @dataclass
-class Misspelt(Regularizer):
-    @hookimpl
-    def nerfreg_los(self):
-        return {}
-
-
-@dataclass
-class Unmarked(Regularizer):
-    def nerfreg_loss(self):
-        return {}
-
-
-class Undecorated(Regularizer):
-    extra: int = 3
-
-
-@pytest.mark.parametrize(
-    ("name", "error"),
-    [
-        ("Misspelt", "Misspelt.nerfreg_los is not a hook; did you mean 'nerfreg_loss'?"),
-        ("Unmarked", "Unmarked.nerfreg_loss is not decorated with @hookimpl"),
-        ("Undecorated", "class Undecorated is not decorated with @dataclass"),
-        ("replace", "does not derive from nerfreg.Regularizer"),
-        ("Missing", "failed to import: AttributeError"),
-    ],
-)
-def test_mistakes_of_an_author_are_told(
-    name: str, error: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    point = EntryPoint("wrong", f"{__name__}:{name}", plugins.GROUP)
-    monkeypatch.setattr(plugins, "_entry_points", lambda: [point])
-    [plugin] = installed()
-    assert plugin.cls is None
-    assert error in plugin.state
-
-
-@dataclass
 class Depth(Regularizer):
     """Says that there is something between two distances everywhere, or nothing."""
 
@@ -306,37 +267,3 @@ def test_depth_of_a_wrong_kind_is_refused(photographs) -> None:
         photographs
     )
     assert unknown.isnan().all()
-
-
-def test_hook_points_and_summary(monkeypatch: pytest.MonkeyPatch) -> None:
-    point = EntryPoint("constant", f"{__name__}:Constant", plugins.GROUP)
-    monkeypatch.setattr(plugins, "_entry_points", lambda: [point])
-    [plugin] = installed()
-    assert plugin.hook_points == ("needs", "loss")
-    assert plugin.summary == "A loss term of 3, on patches of side 4."
-    assert replace(plugin, cls=None, error="gone").state == "gone"
-
-
-def test_source_checkout_reads_its_own_pyproject(tmp_path: Path) -> None:
-    pyproject = tmp_path / "pyproject.toml"
-    assert plugins._checkout_entry_points(pyproject) == []
-    pyproject.write_text(
-        '[project]\nname = "other"\n[project.entry-points."nerfreg.plugins"]\nx = "y:Z"\n'
-    )
-    assert plugins._checkout_entry_points(pyproject) == []
-    pyproject.write_text(
-        '[project]\nname = "nerfreg"\n[project.entry-points."nerfreg.plugins"]\nx = "y:Z"\n'
-    )
-    assert plugins._checkout_entry_points(pyproject) == [EntryPoint("x", "y:Z", plugins.GROUP)]
-
-
-def test_ours_are_all_installed() -> None:
-    ours = {plugin.name: plugin for plugin in installed() if plugin.package == "nerfreg"}
-    expected = (
-        "adversarial annealing depth_smoothness distortion encoding_mask entropy "
-        "full_geometry kl lipschitz occlusion",
-        "stereo unseen_smoothness view_dependence",
-    )
-    assert sorted(ours) == " ".join(expected).split()
-    assert {plugin.state for plugin in ours.values()} == {"ok"}
-    assert all(plugin.summary and plugin.hook_points for plugin in ours.values())
