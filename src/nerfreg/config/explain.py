@@ -92,8 +92,7 @@ def explain(error: Exception, plugins: Sequence[PluginInfo], overrides: Sequence
         return f"cannot read '{error.override}': {_first_line(error)}; {advice}"
     text = str(error)
     if match := re.match(r"In 'reg/([^']+)': ValidationError raised .*Merge error", text):
-        name = split_choice(match[1])[1]
-        return f"two plugins would be called '{name}'; {ANOTHER_NAME}"
+        return f"plugin {match[1]} would have the name of another plugin; {ANOTHER_NAME}"
     if match := re.match(r"Could not override '([\w/]+)'. No match in the defaults list", text):
         override = next(
             (word for word in overrides if word.startswith(f"{match[1]}=")), f"{match[1]}=..."
