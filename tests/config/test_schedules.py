@@ -173,8 +173,14 @@ def test_a_preset_may_refer_to_the_layout_in_a_schedule(
             "sharpness={schedule: linear, from: 1, to: 9}",
             "reg.sharp.sharpness=9.0: must be between 0.5 and 4",
         ),
-        ("size={schedule: linear, from: 1, to: 9}", "reg.sharp.size"),
-        ("start={schedule: linear, from: 1, to: 9}", "reg.sharp.start"),
+        (
+            "size={schedule: linear, from: 1, to: 9}",
+            "reg.sharp.size: follows no schedule; of this plugin weight, sharpness can",
+        ),
+        (
+            "start={schedule: linear, from: 0, to: 1}",
+            "reg.sharp.start: follows no schedule; of this plugin weight, sharpness can",
+        ),
     ],
 )
 def test_what_is_neither_is_refused(override: str, message: str) -> None:

@@ -18,7 +18,9 @@ from nerfreg.config.folders import choices_on_disk, groups_on_disk
 from nerfreg.config.plugin_store import refusal, split_choice
 from nerfreg.config.search_path import options
 from nerfreg.errors import NerfregError, nearest
+from nerfreg.hooks import Regularizer
 from nerfreg.registry import PluginInfo
+from nerfreg.registry.fields import schedulable_fields
 
 COMPOSITION_ERRORS = (HydraException, OmegaConfBaseException, YAMLError)
 GROUP_OF_KEYS = "is a group of keys; `nerfreg train --cfg job` shows them"
@@ -84,6 +86,8 @@ def explain(error: Exception, plugins: Sequence[PluginInfo], overrides: Sequence
         if isinstance(cause, OmegaConfBaseException) and cause.full_key:
             if match := re.search(r"not a subclass of \w+Config. value: (.*)", str(cause)):
                 return f"{cause.full_key}={match[1]}: {GROUP_OF_KEYS}"
+            if why := _no_schedule(cause):
+                return f"{_where(error)}{cause.full_key}: {why}"
             return f"{_where(error)}{cause.full_key}: {_first_line(cause)}"
     if isinstance(error, MissingConfigException):
         return _unknown_choice(error, plugins)
@@ -130,6 +134,19 @@ def _where(error: BaseException) -> str:
     """The config file that Hydra was reading, if it was reading one."""
     match = re.match(r"In '([^']+)':", str(error))
     return f"in {match[1]}.yaml: " if match else ""
+
+
+def _no_schedule(error: OmegaConfBaseException) -> str:
+    """Why a field has no schedule, if it was given one."""
+    cls = error.object_type
+    if not (isinstance(cls, type) and issubclass(cls, Regularizer)) or "'schedule'" not in str(
+        error
+    ):
+        return ""
+    fields = schedulable_fields(cls)
+    if error.key in fields:
+        return ""
+    return f"follows no schedule; of this plugin {', '.join(fields)} can"
 
 
 def _unknown_key(
