@@ -45,6 +45,16 @@ def test_what_nobody_changed_follows_the_layout(compose: Callable[..., Config]) 
     assert forward == config.reg["distortion"] and orbit.weight != forward.weight
 
 
+def test_instances_and_schedules_stay_what_they_are(compose: Callable[..., Config]) -> None:
+    words = ("reg.kl.weight={schedule:cosine,from:1,to:0,start:0.1}", "reg.far.patch_fraction=0.5")
+    config = compose("+reg=[kl,kl@far,entropy]", *words)
+    write_preset(preset_path("both"), config, ("far", "kl"), ["of it."])
+    again = compose("+reg=both").reg
+    assert again == {name: config.reg[name] for name in ("far", "kl")}
+    assert again["kl"].schedules == config.reg["kl"].schedules != {}
+    assert changed_settings(config, "far") == {"patch_fraction": 0.5}
+
+
 def test_nothing_left_is_vanilla(compose: Callable[..., Config]) -> None:
     write_preset(preset_path("nothing"), compose("+reg=kl"), (), ["of it."])
     assert compose("+reg=nothing").reg == {}

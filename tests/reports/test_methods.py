@@ -43,6 +43,22 @@ from nerfreg.reports.methods import method_of
         # Hydra's sweeper writes it so.
         (["+reg=combinerf", "~reg.kl=null"], {}, "combinerf, ~reg.kl"),
         (["+reg=combinerf", "sampler=importance", "name=ours"], {"name": "ours"}, "ours"),
+        # a plugin under another name, and one of a package whose name another has
+        (["+reg=[kl,kl@far]", "reg.far.weight=2"], {"reg.far.weight": 2.0},
+         "kl+kl@far, far.weight=2"),
+        ([], {"reg.kl.plugin": "kl", "reg.far.plugin": "kl", "reg.far.weight": 1.0}, "kl+kl@far"),
+        ([], {"reg.kl.plugin": "foo:kl", "reg.x.plugin": "foo:kl"}, "foo:kl+foo:kl@x"),
+        # a schedule as it was understood
+        (
+            ["+reg=kl", "reg.kl.weight={schedule: linear, from: 1e-03, to: 0, start: 0}"],
+            {"reg.kl.weight": {"schedule": "linear", "from": 0.001, "to": 0.0}},
+            "kl, kl.weight={schedule:linear,from:0.001,to:0}",
+        ),
+        (
+            ["+reg=kl", "reg.kl.weight={schedule:piecewise,points:[[0,1],[1,0]]}"],
+            {"reg.kl.weight": {"schedule": "piecewise", "points": [[0.0, 1.0], [1.0, 0.0]]}},
+            "kl, kl.weight={schedule:piecewise,points:[[0,1],[1,0]]}",
+        ),
     ],
 )  # fmt: skip
 def test_the_method_of_a_run(overrides: list[str], settings: dict[str, Any], method: str) -> None:
@@ -109,6 +125,23 @@ def test_one_name_for_two_configurations_is_made_two(
         "mine (kl.weight=2e-05)",
         "mine (kl.weight=2e-05)",
     ]
+
+
+def test_schedules_set_methods_apart(write_run: Callable[..., Path], tmp_path: Path) -> None:
+    for name, last in (("a", 0.0), ("b", 1e-5)):
+        write_run(name, ["+reg=mine"], config=kl({"schedule": "linear", "from": 1e-3, "to": last}))
+    assert methods(tmp_path) == [
+        "mine (kl.weight={schedule:linear,from:0.001,to:0})",
+        "mine (kl.weight={schedule:linear,from:0.001,to:1e-05})",
+    ]
+
+
+def test_a_run_that_does_not_say_which_plugin_it_used_is_the_same_method(
+    write_run: Callable[..., Path], tmp_path: Path
+) -> None:
+    write_run("a", ["+reg=kl"], config=kl(1e-5))
+    write_run("b", ["+reg=kl"], config={"reg": {"kl": {**kl(1e-5)["reg"]["kl"], "plugin": "kl"}}})
+    assert methods(tmp_path) == ["kl", "kl"]
 
 
 def test_a_variant_has_the_same_name_on_all_scenes(

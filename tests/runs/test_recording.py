@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import asdict
 from pathlib import Path
 
 import pytest
@@ -11,7 +10,8 @@ import torch
 from nerfreg_plugins.lipschitz import Lipschitz
 from safetensors.torch import save_file
 
-from nerfreg import hookimpl
+from nerfreg import Schedule, hookimpl
+from nerfreg.config.plugin import settings_of
 from nerfreg.config.schema import Config
 from nerfreg.errors import NerfregError
 from nerfreg.registry import Hooks, plugins
@@ -23,7 +23,8 @@ from nerfreg.training.loss import loss_terms
 from nerfreg.training.trainer import Trainer
 
 pytestmark = pytest.mark.usefixtures("faulty")
-PLUGINS = "+reg=[faulty,combinerf,entropy]"
+PLUGINS = "+reg=[faulty,combinerf,entropy,entropy@faint]"
+SCHEDULE = "reg.faint.weight={schedule:linear,from:0,to:1e-3}"
 
 
 @pytest.fixture
@@ -31,7 +32,7 @@ def saved(
     make: Callable[..., Trainer], compose: Callable[..., Config], tmp_path: Path
 ) -> tuple[Trainer, list, Path]:
     """A trainer, the terms of its step 2, which was left out, and the file of that step."""
-    words = (PLUGINS, "reg.faulty.steps=[2]", "reg.faulty.way=gradient", "seed=5")
+    words = (PLUGINS, SCHEDULE, "reg.faulty.steps=[2]", "reg.faulty.way=gradient", "seed=5")
     small = (
         "scene.size=24", "sampler.coarse=16", "sampler.fine=16", "field.levels=4",
         "field.finest=64", "field.log2_entries=12",
@@ -55,7 +56,9 @@ def test_the_step_comes_back_to_the_last_bit(
         assert torch.equal(recording.weights[name], weights)
     hooks = Hooks(recording.config.reg)
     batch = recording.batch.again(Renderer(trainer.field, recording.config.sampler, hooks))
+    hooks.begin(batch.step)
     again = loss_terms(batch.render(), hooks, batch.step)
+    assert [term.weight for term in again] == [term.weight for term in terms]
     assert [term.plugin for term in again] == [term.plugin for term in terms]
     assert len(terms) > 5 and all(
         torch.equal(a.value, b.value) for a, b in zip(again, terms, strict=True)
@@ -68,10 +71,11 @@ def test_the_configuration_comes_back_with_its_types(saved: tuple[Trainer, list,
     assert {name: type(plugin) for name, plugin in config.reg.items()} == {
         n: type(p) for n, p in plugins.items()
     }
-    assert {name: asdict(plugin) for name, plugin in config.reg.items()} == {
-        n: asdict(p) for n, p in plugins.items()
+    assert {name: settings_of(plugin) for name, plugin in config.reg.items()} == {
+        n: settings_of(p) for n, p in plugins.items()
     }
     assert config.seed == 5
+    assert config.reg["faint"].schedules == {"weight": Schedule("linear", 0.0, 1e-3)}
 
 
 def test_nothing_else_is_left_in_the_folder(saved: tuple[Trainer, list, Path]) -> None:

@@ -11,6 +11,7 @@ from pathlib import Path
 import imageio.v3 as iio
 import pytest
 
+from nerfreg import __version__
 from nerfreg.cli import main
 
 SMALL = [
@@ -32,12 +33,16 @@ def test_a_run_leaves_what_the_design_lists(run: Path, capsys: pytest.CaptureFix
     wanted = {
         "psnr", "ssim", "lpips", "average", "depth_rmse", "step", "train_seconds",
         "points_per_second", "peak_memory_mb", "seed", "regularizers", "views", "scene", "versions",
-        "skipped_steps",
+        "skipped_steps", "plugins", "notes",
     }  # fmt: skip
     assert wanted <= set(results)
     assert results["skipped_steps"] == 0 and not (run / "nonfinite").exists()
     assert results["step"] == 20 and results["views"] == 3 and results["seed"] == 0
     assert set(results["regularizers"]) == {"distortion", "lipschitz"}
+    assert results["plugins"] == {
+        name: {"plugin": name, "package": "nerfreg", "version": __version__}
+        for name in ("distortion", "lipschitz")
+    }
     assert results["points_per_second"] * results["train_seconds"] == pytest.approx(
         20 * 128 * 32, rel=1e-2
     )

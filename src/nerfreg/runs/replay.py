@@ -51,6 +51,7 @@ def replay(path: Path) -> int:
             f"{path}: its weights do not fit the plugins that are installed now: {reason}"
         ) from error
     again = batch.again(Renderer(field, config.sampler, hooks))
+    hooks.begin(again.step)
     rendering = again.render()
     terms = loss_terms(rendering, hooks, again.step)
     faults = faults_of(rendering, terms, field)
