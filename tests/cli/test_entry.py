@@ -260,6 +260,12 @@ def test_completion(environment: dict[str, str]) -> None:
 def test_completion_of_overrides(environment: dict[str, str]) -> None:
     assert {"+reg=kl", "+reg=combinerf"} <= {*complete("nerfreg train +reg=", environment)}
     assert complete("nerfreg train +reg=lip", environment) == ["+reg=lipschitz"]
+    assert complete("nerfreg train +reg=kl@far reg.far.we", environment) == ["reg.far.weight="]
+    choices = ["reg.far.density=weights", "reg.far.density=alphas"]
+    assert complete("nerfreg train +reg=[entropy,kl@far] reg.far.density=", environment) == choices
+    assert complete("nerfreg train +reg=combinerf reg.kl.density=a", environment) == [
+        "reg.kl.density=alphas"
+    ]
     assert complete("nerfreg train +reg=kl reg.kl.wei", environment) == ["reg.kl.weight="]
     assert sorted(complete("nerfreg scene scene=", environment)) == [
         f"scene={name}" for name in ("blender", "llff", "procedural", "transforms")

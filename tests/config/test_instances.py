@@ -15,7 +15,7 @@ from omegaconf import OmegaConf
 from nerfreg import NerfregError, Regularizer
 from nerfreg.config.compose import compose
 from nerfreg.config.naming import overrides_name, slug
-from nerfreg.config.plugin_store import known_plugins, split_choice
+from nerfreg.config.plugin_store import known_plugins, split_choice, values_of
 from nerfreg.config.saved import as_yaml, read_run, restored
 from nerfreg.config.schema import register
 from nerfreg.registry import plugins
@@ -170,6 +170,16 @@ def test_literals_are_choices() -> None:
     assert (made.mode, made.order, made.kinds, made.norm) == ("sum", 2, ["b-c", "a"], "l1")
     assert restored(OmegaConf.create(as_yaml(config)), "here").reg == config.reg
     assert compose(["+reg=chooser", "reg.chooser.norm=null"]).reg["chooser"].norm is None
+
+
+@pytest.mark.usefixtures("chooser")
+def test_a_shell_is_told_the_choices() -> None:
+    plugins = register()
+    assert values_of("reg.chooser.mode", ["+reg=chooser"], plugins) == ["mean", "sum"]
+    assert values_of("reg.mine.order", ["+reg=[kl,chooser@mine]"], plugins) == ["1", "2"]
+    assert values_of("reg.kl.direction", [], plugins) == ["forward", "reverse"]
+    assert values_of("reg.chooser.weight", [], plugins) == []
+    assert values_of("train.rays", [], plugins) == values_of("reg.nobody.mode", [], plugins) == []
 
 
 @pytest.mark.usefixtures("chooser")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import dataclasses
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import pytest
 from nerfreg_docs import fill
@@ -83,6 +83,7 @@ def test_table_of_fields() -> None:
         (list[int] | None, "list of int or null"),
         (list[Any], "list"),
         (dict[str, float], "map to float"),
+        (Literal["mean", "sum"] | None, "mean or sum or null"),
     ],
 )
 def test_type_names(hint: Any, name: str) -> None:

@@ -48,6 +48,7 @@ from nerfreg.reports.methods import method_of
          "kl+kl@far, far.weight=2"),
         ([], {"reg.kl.plugin": "kl", "reg.far.plugin": "kl", "reg.far.weight": 1.0}, "kl+kl@far"),
         ([], {"reg.kl.plugin": "foo:kl", "reg.x.plugin": "foo:kl"}, "foo:kl+foo:kl@x"),
+        (["+reg=[kl@a,foo\\:kl]"], {}, "foo:kl+kl@a"),
         # a schedule as it was understood
         (
             ["+reg=kl", "reg.kl.weight={schedule: linear, from: 1e-03, to: 0, start: 0}"],

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import types
 from collections.abc import Mapping
-from typing import Any, Union, get_args, get_origin, get_type_hints
+from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 
 from nerfreg_docs.docstrings import attributes
 from nerfreg_docs.markdown import code, plain, table
@@ -52,6 +52,8 @@ def type_name(hint: Any) -> str:
     origin, parameters = get_origin(hint), get_args(hint)
     if origin in (Union, types.UnionType):
         return " or ".join(map(type_name, parameters))
+    if origin is Literal:
+        return " or ".join(map(yaml_value, parameters))
     if origin is list or hint is list:
         named = parameters and parameters[0] is not Any
         return f"list of {type_name(parameters[0])}" if named else "list"

@@ -68,7 +68,7 @@ def run(folder: Path, sizes: RaySizes) -> BenchOutcome:
         NerfregError: No plugin can take part.
     """
     losses = [info for info in installed() if "loss" in info.hook_points]
-    measured = {info.name: measure(info, sizes) for info in losses}
+    measured = {info.address: measure(info, sizes) for info in losses}
     points = list(chain(*measured.values()))
     if not points:
         raise NerfregError(

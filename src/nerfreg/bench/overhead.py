@@ -136,8 +136,8 @@ def choose(only: Sequence[str]) -> list[Variant]:
         NerfregError: A name is that of no variant.
     """
     plugins = installed()
-    kinds = {NO_MANAGER: CORE} | {p.name: PLUGIN for p in plugins if p.cls is not None}
-    taken = {VANILLA, *(plugin.name for plugin in plugins)}
+    kinds = {NO_MANAGER: CORE} | {p.address: PLUGIN for p in plugins if p.cls is not None}
+    taken = {VANILLA, *(plugin.address for plugin in plugins)}
     kinds |= {name: PRESET for name in options("reg", plugins) if name not in taken}
     for name in only:
         if name not in kinds:

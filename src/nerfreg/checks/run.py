@@ -102,7 +102,7 @@ def run(
 def _subjects(words: Sequence[str]) -> list[Subject]:
     """What to check; broken plugins are an error if they were named, else a warning."""
     names, overrides = [word for word in words if "=" not in word], _overrides(words)
-    found = {plugin.name: plugin for plugin in installed()}
+    found = {plugin.address: plugin for plugin in installed()}
     known = (*found, COMPOSITOR.name)
     for name in (*names, *overrides):
         if name not in known:

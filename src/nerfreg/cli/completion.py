@@ -58,9 +58,14 @@ def complete_overrides(prefix: str, parsed_args: Namespace, **_: Any) -> list[st
     """
     # Imports torch; completing verbs and options must not wait for that.
     from nerfreg.cli.launch import launch, train
+    from nerfreg.config.plugin_store import values_of
     from nerfreg.config.search_path import SCHEMA
+    from nerfreg.registry import installed
 
     before = getattr(parsed_args, "overrides", None) or []
+    key, equals, typed = prefix.partition("=")
+    if equals and (values := values_of(key, before, installed())):
+        return [f"{key}={value}" for value in values if value.startswith(typed)]
     os.environ["COMP_LINE"] = " ".join(["nerfreg", *before, prefix])
     found = StringIO()
     with redirect_stdout(found):

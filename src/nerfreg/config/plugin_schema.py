@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import re
-from enum import StrEnum
+from enum import Enum, StrEnum
 from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 
 from omegaconf import DictConfig, OmegaConf, StringNode
@@ -58,6 +58,14 @@ def typed_node(address: str, cls: type[Regularizer]) -> DictConfig:
     for child in content.values():
         child._set_parent(node)
     return node
+
+
+def field_choices(cls: type[Regularizer], name: str) -> tuple[str, ...]:
+    """Return what a field may be, if its type is an enumeration or `Literal`; else nothing."""
+    hint = get_type_hints(cls).get(name)
+    if isinstance(hint, type) and issubclass(hint, Enum):
+        return tuple(hint.__members__)
+    return tuple(map(str, _choices(hint)))
 
 
 def _without_literals(cls: type[Regularizer], hints: dict[str, Any]) -> type:

@@ -9,7 +9,7 @@ from typing import Any
 from hydra.core.config_store import ConfigNode, ConfigStore
 
 from nerfreg.config.folders import choices_on_disk
-from nerfreg.config.plugin_schema import plugin_schema
+from nerfreg.config.plugin_schema import field_choices, plugin_schema
 from nerfreg.config.search_path import options
 from nerfreg.registry import PluginInfo
 from nerfreg.registry.plugins import find_plugin, why_not
@@ -47,6 +47,23 @@ def split_choice(choice: str) -> tuple[str, str]:
     """
     address, _, alias = choice.partition("@")
     return address, alias or address.rpartition(":")[2]
+
+
+def values_of(key: str, overrides: Sequence[str], plugins: Sequence[PluginInfo]) -> list[str]:
+    """Return what `reg.NAME.KEY` may be, for shells; nothing where that is not a short list.
+
+    Args:
+        key: The key, without its value.
+        overrides: Those before it, which may have given the instance its name.
+        plugins: The installed plugins.
+    """
+    name, _, field = key.removeprefix("reg.").partition(".")
+    listed = (override.partition("=")[2].strip("[]").split(",") for override in overrides)
+    addresses = {
+        split_choice(choice)[1]: choice.partition("@")[0] for own in listed for choice in own
+    }
+    plugin = find_plugin(addresses.get(name, name), plugins)
+    return list(field_choices(plugin.cls, field)) if plugin and plugin.cls else []
 
 
 def refusal(choice: str, plugins: Sequence[PluginInfo]) -> str:

@@ -103,7 +103,9 @@ def _parts(overrides: Sequence[str], settings: Mapping[str, Any]) -> list[str]:
             # It is deleted, whatever its value was.
             equals = value = ""
         if key == "reg" and equals:
-            selected = sorted(part.strip(" '\"") for part in value.strip("[]").split(","))
+            # Hydra escapes the colon of "package:plugin" in the jobs of a sweep.
+            words = value.replace("\\", "").strip("[]").split(",")
+            selected = sorted(word.strip(" '\"") for word in words)
             chosen = "+".join(selected) or VANILLA
         elif not _silent(key.lstrip("~").partition("@")[0].replace("/", ".")):
             # A value as it was understood; a list as it was written.
