@@ -177,7 +177,8 @@ def test_a_namesake_is_addressed_by_its_package(compose) -> None:
     [
         (
             ["+reg=[kl,nerfreg-namesake:kl]"],
-            "two plugins would be called 'kl'; give one of them another, as in +reg=plugin@name",
+            "two plugins would be called 'kl'; give one of them another name, as in "
+            "+reg=plugin@name",
         ),
         (
             ["+reg=nerfreg-namesake:kll"],

@@ -20,11 +20,11 @@ from nerfreg.config.search_path import options
 from nerfreg.errors import NerfregError, nearest
 from nerfreg.hooks import Regularizer
 from nerfreg.registry import PluginInfo
-from nerfreg.registry.fields import schedulable_fields
+from nerfreg.registry.plugin_fields import schedulable_fields
 
 COMPOSITION_ERRORS = (HydraException, OmegaConfBaseException, YAMLError)
 GROUP_OF_KEYS = "is a group of keys; `nerfreg train --cfg job` shows them"
-ANOTHER_NAME = "give one of them another, as in +reg=plugin@name"
+ANOTHER_NAME = "give one of them another name, as in +reg=plugin@name"
 EXTRA = ("hydra/launcher", "hydra/sweeper")
 """Groups whose choices come with packages that are not installed by default."""
 
@@ -95,7 +95,7 @@ def explain(error: Exception, plugins: Sequence[PluginInfo], overrides: Sequence
         advice = "quote lists, as in '+reg=[kl,lipschitz]'"
         return f"cannot read '{error.override}': {_first_line(error)}; {advice}"
     text = str(error)
-    if match := re.match(r"In 'reg/([^']+)': ValidationError raised .*Merge error", text):
+    if match := re.match(r"In 'reg/([^']+)': ValidationError raised .*\s+.*Merge error", text):
         return f"plugin {match[1]} would have the name of another plugin; {ANOTHER_NAME}"
     if match := re.match(r"Could not override '([\w/]+)'. No match in the defaults list", text):
         override = next(

@@ -19,7 +19,7 @@ from nerfreg.config.plugin_schema import typed_node
 from nerfreg.errors import NerfregError, nearest
 from nerfreg.hooks import Regularizer, Schedule
 from nerfreg.registry import PluginInfo
-from nerfreg.registry.fields import PLUGIN_KEY, schedulable_fields
+from nerfreg.registry.plugin_fields import PLUGIN_KEY, schedulable_fields
 from nerfreg.registry.plugins import ADDRESS, plugin_name
 
 

@@ -11,7 +11,7 @@ from omegaconf import DictConfig, OmegaConf, StringNode
 
 from nerfreg.config.nodes import ChoiceNode, NumberNode
 from nerfreg.hooks import Regularizer
-from nerfreg.registry.fields import PLUGIN_KEY, schedulable_fields
+from nerfreg.registry.plugin_fields import PLUGIN_KEY, schedulable_fields
 
 
 def plugin_schema(address: str, cls: type[Regularizer]) -> DictConfig:

@@ -15,7 +15,7 @@ from nerfreg.config.plugin_schema import plugin_schema
 from nerfreg.config.schema import Config, register, scene_schema
 from nerfreg.config.validation import validated
 from nerfreg.errors import NerfregError
-from nerfreg.registry.fields import PLUGIN_KEY
+from nerfreg.registry.plugin_fields import PLUGIN_KEY
 from nerfreg.registry.plugins import find_plugin
 
 

@@ -13,7 +13,7 @@ from nerfreg.config.schema import Config
 from nerfreg.errors import NerfregError, nearest
 from nerfreg.hooks import Regularizer
 from nerfreg.registry import Hooks
-from nerfreg.registry.fields import PLUGIN_KEY
+from nerfreg.registry.plugin_fields import PLUGIN_KEY
 from nerfreg.registry.plugins import find_plugin
 from nerfreg.scenes import SCENES, SceneConfig, load_scene
 

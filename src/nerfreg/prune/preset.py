@@ -17,7 +17,7 @@ from nerfreg.errors import NerfregError
 from nerfreg.files import write_text
 from nerfreg.prune.plan import Selection
 from nerfreg.registry import installed
-from nerfreg.registry.fields import PLUGIN_KEY
+from nerfreg.registry.plugin_fields import PLUGIN_KEY
 from nerfreg.registry.plugins import plugin_name
 
 MARK = "# What `nerfreg prune` leaves"

@@ -16,7 +16,7 @@ from nerfreg.hooks import (
     HookSpecs,
     Regularizer,
 )
-from nerfreg.registry.fields import field_mistake
+from nerfreg.registry.plugin_fields import field_mistake
 
 ARGUMENTS = {
     name: tuple(inspect.signature(spec).parameters)[1:]

@@ -14,7 +14,7 @@ from omegaconf import OmegaConf
 from nerfreg.errors import NerfregError, nearest
 from nerfreg.hooks import Regularizer
 from nerfreg.registry import installed
-from nerfreg.registry.fields import PLUGIN_KEY
+from nerfreg.registry.plugin_fields import PLUGIN_KEY
 from nerfreg.registry.plugins import find_plugin
 
 BIBLIOGRAPHY = "references.bib"
