@@ -770,3 +770,35 @@ def test_a_checkpoint_without_fraction_can_still_be_read(tmp_path, scene: Scene)
     path = tmp_path / "checkpoint" / "state.json"
     path.write_text('{"step": 1, "train_seconds": 1.0, "points": 10, "skipped_steps": 0}')
     assert load_checkpoint(tmp_path, trainer.field) == State(1, 1.0, 10)
+
+
+@dataclass
+class Patches(Regularizer):
+    """Keeps the patches that it gets."""
+
+    side: int = 2
+    share: float = 0.5
+
+    @hookimpl
+    def nerfreg_needs(self):
+        return Needs(patch_size=self.side, patch_fraction=self.share)
+
+    @hookimpl
+    def nerfreg_loss(self, rendering):
+        self.rays = rendering.rays
+        return {}
+
+
+def test_each_plugin_gets_patches_of_its_own_side(scene: Scene) -> None:
+    small, large = Patches(2), Patches(5, share=0.8)
+    train = TrainConfig(steps=2, rays=32, quiet=True)
+    hooks = Hooks({"a": small, "b": large})
+    Trainer(scene, hooks, FIELD, SAMPLER, OptimConfig(), train).step()
+    assert large.rays.patches.shape == (1, 5, 5)
+    [patch] = large.rays.patches
+    # Of 5 x 5 rays, 4 x 4 make four patches; the last row and column are left over.
+    expected = [patch[y : y + 2, x : x + 2] for y in (0, 2) for x in (0, 2)]
+    assert torch.equal(small.rays.patches, torch.stack(expected))
+    pixels = small.rays.pixel[small.rays.patches]
+    assert torch.equal(pixels[:, 0, 1] - pixels[:, 0, 0], torch.tensor([[1.0, 0.0]] * 4))
+    assert torch.equal(pixels[:, 1, 0] - pixels[:, 0, 0], torch.tensor([[0.0, 1.0]] * 4))

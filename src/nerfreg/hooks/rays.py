@@ -22,7 +22,8 @@ class Needs:
 
     Attributes:
         patch_size: Side S of square pixel patches among the training rays, 0 for none; the union
-            takes the largest.
+            takes the largest, and a plugin that asks for less gets them cut into patches of its
+            own side.
         patch_fraction: Share of the training rays that lie in those patches.
         neighbors: Pairs of horizontally or vertically adjacent pixels, sampled at the same t.
             `"patch"` pairs rays of the patches (which are then at least 2 x 2) and costs no extra
@@ -123,7 +124,25 @@ class Rays:
             return self.near.new_zeros(len(self), dtype=torch.bool)
         return self.view >= 0
 
-    def to(self, device: torch.device) -> Rays:
+    def tiled(self, side: int) -> Rays:
+        """Return the same rays with their patches cut into smaller ones.
+
+        Args:
+            side: Side of the smaller patches. Rays of a larger patch that fill no smaller one are
+                left out; patches that are smaller already, and a side of 0, leave all as it is.
+        """
+
+        def cut(patches: Int[Tensor, "p s s"] | None) -> Int[Tensor, "q t t"] | None:
+            if patches is None or not 0 < side < patches.shape[-1]:
+                return patches
+            count = patches.shape[-1] // side
+            rows = patches[:, : count * side, : count * side].view(-1, count, side, count, side)
+            return rows.transpose(2, 3).reshape(-1, side, side)
+
+        patches, unseen_patches = cut(self.patches), cut(self.unseen_patches)
+        return replace(self, patches=patches, unseen_patches=unseen_patches)
+
+    def picked(self: torch.device) -> Rays:
         """Return the same rays on a device."""
         moved: dict[str, Any] = {
             name: value.to(device)

@@ -13,7 +13,7 @@ from torch import nn
 from nerfreg.errors import NerfregError, PluginError
 from nerfreg.hooks import ALWAYS_IN_EVALUATION, PROJECT, HookSpecs, Regularizer, Step
 from nerfreg.registry.defaults import CoreDefaults
-from nerfreg.registry.plugins import HOOKS, implemented, origin
+from nerfreg.registry.plugins import HOOKS, conflicts_of, implemented, is_used, origin
 
 
 class PluginCaller:
@@ -31,11 +31,7 @@ class PluginCaller:
         self.plugins = dict(plugins or {})
         for name, plugin in self.plugins.items():
             _check(name, plugin, self.plugins)
-        used = {
-            name: plugin
-            for name, plugin in self.plugins.items()
-            if plugin.weight != 0 or "weight" in plugin.schedules
-        }
+        used = {name: plugin for name, plugin in self.plugins.items() if is_used(plugin)}
         self._scheduled = [plugin for plugin in used.values() if plugin.schedules]
         self._users = {
             hook: tuple(name for name, plugin in used.items() if hook in implemented(type(plugin)))
@@ -180,8 +176,5 @@ def _check(name: str, plugin: Regularizer, plugins: dict[str, Regularizer]) -> N
         raise NerfregError(
             f"reg.{name}.start={plugin.start}: must be before reg.{name}.end={plugin.end}"
         )
-    for other in plugin.conflicts:
-        if other in plugins:
-            raise NerfregError(
-                f"reg={name} cannot be combined with reg={other}; drop one of the two"
-            )
+    for other in conflicts_of(plugin, plugins):
+        raise NerfregError(f"reg={name} cannot be combined with reg={other}; drop one of the two")

@@ -12,6 +12,7 @@ from torch import nn
 
 from nerfreg.hooks import Rays, Regularizer, Rendering, Samples, Step
 from nerfreg.registry.building import BuildingHooks
+from nerfreg.registry.plugins import with_changes
 from nerfreg.registry.preparing import PreparingHooks
 from nerfreg.registry.stepping import SteppingHooks
 
@@ -57,8 +58,4 @@ class Hooks(BuildingHooks, PreparingHooks, SteppingHooks):
 def _anew(plugin: Regularizer) -> Regularizer:
     """A plugin with the same configuration that has taken part in nothing yet."""
     values = {part.name: getattr(plugin, part.name) for part in fields(plugin) if part.init}
-    fresh: Regularizer = type(plugin)(**deepcopy(values))
-    if plugin.schedules:
-        # On the instance, where the configuration puts it.
-        vars(fresh)["schedules"] = plugin.schedules
-    return fresh
+    return with_changes(plugin, **deepcopy(values))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from jaxtyping import Bool, Float
@@ -151,7 +151,7 @@ class SteppingHooks(PluginCaller):
         terms = []
         for name in self._active("nerfreg_loss", step):
             # One plugin at a time, because the answer does not say whose it is.
-            given = {"rendering": rendering, "step": step}
+            given = {"rendering": self._as_needed(name, rendering, step), "step": step}
             answers = self._ask("nerfreg_loss", (name,), given)
             if not all(isinstance(values, dict) for values in answers) or not answers:
                 found = type(answers[0]).__name__ if answers else "None"
@@ -168,6 +168,21 @@ class SteppingHooks(PluginCaller):
                     raise self._error("nerfreg_loss", (name,), step, wrong)
                 terms.append(Term(name, term, float(self.plugins[name].weight), value))
         return terms
+
+    def _as_needed(self, name: str, rendering: Rendering, step: Step) -> Rendering:
+        """The rendering with patches of the side that a plugin asks for.
+
+        Patches have the largest side that any plugin asks for, but each gets what it is set to:
+        one plugin may be selected twice, to compare two sides.
+        """
+        rays, asking = rendering.rays, self._users["nerfreg_needs"]
+        whole = rays.patches is None and rays.unseen_patches is None
+        if whole or len(asking) < 2 or name not in asking:
+            return rendering
+        sides = [needs.patch_size for needs in self._ask("nerfreg_needs", (name,), {"step": step})]
+        tiled = rays.tiled(max(sides, default=0))
+        unchanged = tiled.patches is rays.patches and tiled.unseen_patches is rays.unseen_patches
+        return rendering if unchanged else replace(rendering, rays=tiled)
 
     def metrics(self, view: EvaluatedView, step: Step) -> dict[str, float]:
         """Return what the selected plugins measure of a view, by "plugin.metric"."""
