@@ -142,7 +142,7 @@ class Rays:
         patches, unseen_patches = cut(self.patches), cut(self.unseen_patches)
         return replace(self, patches=patches, unseen_patches=unseen_patches)
 
-    def picked(self: torch.device) -> Rays:
+    def to(self, device: torch.device) -> Rays:
         """Return the same rays on a device."""
         moved: dict[str, Any] = {
             name: value.to(device)
