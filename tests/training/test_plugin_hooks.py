@@ -790,7 +790,7 @@ class Patches(Regularizer):
 
 
 def test_each_plugin_gets_patches_of_its_own_side(scene: Scene) -> None:
-    small, large = Patches(2), Patches(5, share=0.8)
+    small, large = Patches(side=2), Patches(side=5, share=0.8)
     train = TrainConfig(steps=2, rays=32, quiet=True)
     hooks = Hooks({"a": small, "b": large})
     Trainer(scene, hooks, FIELD, SAMPLER, OptimConfig(), train).step()
