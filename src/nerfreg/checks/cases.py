@@ -11,7 +11,7 @@ from jaxtyping import Int
 from torch import Tensor
 from torch.nn import functional
 
-from nerfreg.checks.inputs import DTYPES, Inputs, cast
+from nerfreg.checks.inputs import DTYPES, PIXEL, Inputs, cast
 from nerfreg.checks.report import LIMITS, Spot
 from nerfreg.hooks import Rays
 from nerfreg.numerics import MIN_OPACITY
@@ -160,7 +160,9 @@ class Case:
         # An interval without length has a density all the same.
         density = torch.where(length > 0, tau / torch.where(length > 0, length, 1.0), 1.0)
         near, far = self.bounds or (float(edges[0]), float(edges[-1]))
-        across = 0.01 * torch.stack([index % side, index // side], dim=1).double()
+        place = torch.stack([index % side, index // side], dim=1).double()
+        # Rows of an image run down, and y points up.
+        across = PIXEL * place * torch.tensor([1.0, -1.0])
         ahead = torch.cat([across, -torch.ones(count, 1).double()], dim=1)
         patch = index[:supervised].view(side, side)
         pairs = [(patch[:, :-1], patch[:, 1:]), (patch[:-1], patch[1:])]
@@ -180,6 +182,9 @@ class Case:
             unseen=index[supervised:],
             unseen_patches=index[supervised:].view(1, 2, 2),
             known_depth=known[index[:supervised] % 3],
+            view=torch.where(index < supervised, 0, -1),
+            pixel=torch.where((index < supervised)[:, None], place + 0.5, torch.nan),
+            unseen_views=torch.zeros(count - supervised, dtype=torch.long),
         )
         return Inputs(
             rays,

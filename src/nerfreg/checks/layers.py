@@ -11,7 +11,7 @@ from torch import nn
 
 from nerfreg.checks.accuracy import not_finite_gradients
 from nerfreg.checks.cases import CASES
-from nerfreg.checks.driver import WIDTHS, Driver
+from nerfreg.checks.driver import Driver
 from nerfreg.checks.inputs import DTYPES, cast
 from nerfreg.checks.report import LIMITS, Report, Spot
 from nerfreg.field.layers import ACTIVATIONS, AffineLayer
@@ -51,7 +51,7 @@ def check_layers(report: Report, case: LayerCase, _: None) -> None:
     """Check that every layer has finite outputs and gradients, and computes what it tells."""
     dtype = DTYPES[report.spot.dtype]
     driver = Driver(report.subject, cast(CASES[0].build(2), dtype))
-    for network, widths in WIDTHS.items():
+    for network, widths in driver.widths.items():
         layers = zip(driver.networks[network].layers, pairwise(widths), strict=True)
         for index, (layer, shape) in enumerate(layers):
             name = f"layer {index} of {network}"

@@ -1,9 +1,10 @@
-"""What was found about a plugin: as a table for people, as JSON for programs."""
+"""What was found about a plugin."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Any
@@ -11,13 +12,22 @@ from typing import Any
 from torch import Tensor
 
 from nerfreg.checks.accuracy import relative_error
-from nerfreg.checks.driver import Subject
-from nerfreg.files import json_text
+from nerfreg.checks.subject import Subject
+from nerfreg.errors import NerfregError, PluginError
 
-CHECKS = ("value", "gradient", "error", "invariance", "contract")
-"""value: finite scalars, nothing edited. gradient: finite, and as finite differences have it.
-error: against exact values. invariance: to order and number of rays, and to scale. contract:
-bounds, samples, layers and needs as promised."""
+CHECKS = {
+    "value": "terms and outputs of layers are finite, in the rendering's type; nothing is edited",
+    "gradient": "gradients are there, finite, and as finite differences have them",
+    "error": "values are exact to the limits of float32 and float64",
+    "invariance": "nothing depends on order, number or chunks of the rays, threads, or scale",
+    "contract": "every hook returns what it specifies; the plugin's own promises hold",
+    "effects": "nothing is changed besides: no targets, weights, global generators or settings",
+    "steps": "all goes well from step 0 to the end and around the window; no rendering is kept",
+    "cost": "work and memory grow in proportion to rays and samples",
+    "run": "a small run trains; its evaluation is that of a fresh process",
+    "state": "the next step is the same with everything restored from the checkpoint",
+}
+"""All checks, with what holds where one is ok."""
 
 LIMITS = {"float32": 1e-5, "float64": 1e-11}
 """Largest relative error against exact values."""
@@ -56,6 +66,10 @@ class Worst:
     exact: bool
 
 
+class Unprepared(NerfregError):
+    """A plugin cannot do without the files of a real scene."""
+
+
 @dataclass
 class Report:
     """All about one plugin.
@@ -64,32 +78,43 @@ class Report:
         subject: The plugin.
         spot: Where the checks stand now.
         spots: Where it was checked.
-        checked: Which of `CHECKS` applied to it.
+        checked: How often each of `CHECKS` was made.
         failures: What was found wrong.
         worst: The largest error in float32 and float64.
+        skipped: Why some of `CHECKS` could not be made.
     """
 
     subject: Subject
     spot: Spot = Spot("", "")
     spots: set[Spot] = field(default_factory=set)
-    checked: set[str] = field(default_factory=set)
+    checked: Counter[str] = field(default_factory=Counter)
     failures: list[Failure] = field(default_factory=list)
     worst: dict[str, Worst] = field(default_factory=dict)
+    skipped: dict[str, str] = field(default_factory=dict)
 
     @contextmanager
     def at(self, spot: Spot, check: str) -> Iterator[None]:
-        """Check something at a spot; whatever is raised there is a failure of `check`."""
+        """Check something at a spot; whatever is raised there is a failure of `check`.
+
+        A check for which a plugin wants the files of a real scene is skipped.
+        """
         self.spot = spot
         try:
             yield
+        except Unprepared as error:
+            self.skip(check, str(error))
         except Exception as error:  # a foreign plugin may raise anything
-            self.judge(check, [f"raises {type(error).__name__}: {error}".partition("\n")[0]])
+            self.judge(check, [in_words(error)])
 
     def judge(self, check: str, wrong: Iterable[str]) -> None:
         """Note that a check was made; each line of `wrong` is a failure."""
         self.spots.add(self.spot)
-        self.checked.add(check)
+        self.checked[check] += 1
         self.failures += [Failure(self.spot, check, line) for line in wrong]
+
+    def skip(self, check: str, why: str) -> None:
+        """Note why a check could not be made."""
+        self.skipped.setdefault(check, why)
 
     def compare(
         self,
@@ -130,7 +155,7 @@ class Report:
         """Return FAIL if any of these checks failed, n/a if none applied, else ok."""
         if any(failure.check in checks for failure in self.failures):
             return "FAIL"
-        return "ok" if self.checked.intersection(checks) else "n/a"
+        return "ok" if self.checked.keys() & set(checks) else "n/a"
 
     @property
     def verdict(self) -> str:
@@ -144,82 +169,11 @@ class Report:
         return " ".join(["nerfreg check", self.subject.name, where, *self.subject.overrides])
 
 
-COLUMNS: dict[str, Callable[[Report], str]] = {
-    "plugin": lambda report: report.subject.name,
-    "hooks": lambda report: " ".join(x.rpartition("_")[2] for x in report.subject.hook_points),
-    "cases": lambda report: str(len(report.spots)),
-    "value": lambda report: report.state("value"),
-    "grad": lambda report: report.state("gradient"),
-    "float32": lambda report: report.worst_error("float32"),
-    "float64": lambda report: report.worst_error("float64"),
-    "invar.": lambda report: report.state("invariance"),
-    "contract": lambda report: report.state("contract"),
-    "verdict": lambda report: report.verdict,
-}
-"""cases: combinations of case, precision and size. float32, float64: worst relative error."""
-
-
-def print_reports(reports: Sequence[Report]) -> None:
-    """Print a table, then the failures, each with the command line that shows it again."""
-    rows = [[cell(report) for cell in COLUMNS.values()] for report in reports]
-    widths = [max(map(len, column)) for column in zip(COLUMNS, *rows, strict=True)]
-    for row in ([*COLUMNS], *rows):
-        cells = (cell.ljust(width) for cell, width in zip(row, widths, strict=True))
-        print("  ".join(cells).rstrip())
-    if any("~" in cell for row in rows for cell in row):
-        print("~ against the plugin's own value in float64; it ships no exact one")
-    for report in reports:
-        print("".join(f"{line}\n" for line in _failures(report)), end="")
-
-
-def print_json(reports: Sequence[Report]) -> None:
-    """Print one document, in which errors that are not finite are text."""
-
-    def number(value: float) -> float | str:
-        return value if math.isfinite(value) else str(value)
-
-    passed = all(not report.failures for report in reports)
-    plugins = [
-        {
-            "name": report.subject.name,
-            "hook_points": report.subject.hook_points,
-            "verdict": report.verdict,
-            "cases": len(report.spots),
-            "checks": {check: report.state(check) for check in CHECKS},
-            "worst": {
-                dtype: {"error": number(worst.error), "exact": worst.exact, **vars(worst.spot)}
-                for dtype, worst in sorted(report.worst.items())
-            },
-            "failures": [
-                {
-                    **vars(failure.spot),
-                    "check": failure.check,
-                    "message": failure.message,
-                    "reproduce": report.reproduction(failure.spot),
-                }
-                for failure in report.failures
-            ],
-        }
-        for report in reports
-    ]
-    print(json_text({"passed": passed, "plugins": plugins}, indent=2))
-
-
-def _failures(report: Report) -> list[str]:
-    """Each different failure once, by the first spot where it was found."""
-    name, spots = report.subject.name, dict[str, list[Spot]]()
-    for failure in report.failures:
-        spots.setdefault(f"{failure.check}: {failure.message}", []).append(failure.spot)
-    lines = []
-    for message, [first, *more] in list(spots.items())[:SHOWN]:
-        lines += ["", f"{name}: {message}", f"    {report.reproduction(first)}"]
-        if more:
-            lines.append(f"    and {len(more)} times more, {_cases(more)}")
-    if rest := list(spots.values())[SHOWN:]:
-        cases = _cases(spot for found in rest for spot in found)
-        lines += ["", f"{name}: {len(rest)} other failures, {cases}"]
-    return lines
-
-
-def _cases(spots: Iterable[Spot]) -> str:
-    return f"in {', '.join(dict.fromkeys(spot.case for spot in spots))}"
+def in_words(error: Exception) -> str:
+    """Return what was raised, in a line: by a plugin itself, not by the frame around it."""
+    cause = error.__cause__ if isinstance(error, PluginError) else None
+    if isinstance(error, PluginError) and cause is None:
+        # Without the name of the plugin, which stands before.
+        return str(error).rpartition("), ")[2].partition("\n")[0]
+    raised = cause or error
+    return f"raises {type(raised).__name__}: {raised}".partition("\n")[0]

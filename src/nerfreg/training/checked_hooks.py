@@ -6,19 +6,43 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
+import torch
+
 from nerfreg.errors import NerfregError
-from nerfreg.hooks import Rays, Regularizer, Rendering, Samples
+from nerfreg.hooks import (
+    ColorSamples,
+    DensitySamples,
+    Rays,
+    Regularizer,
+    Rendering,
+    Samples,
+    Step,
+)
 from nerfreg.registry import Hooks
+from nerfreg.scenes.scene import SceneInfo
 from nerfreg.training.contracts import (
     Untouched,
     wrong_bounds,
+    wrong_known_depth,
     wrong_layer,
     wrong_needs,
     wrong_samples,
     wrong_terms,
 )
+from nerfreg.training.contracts_rendering import (
+    wrong_color_input,
+    wrong_density,
+    wrong_empty,
+    wrong_metrics,
+    wrong_rays,
+    wrong_rendering,
+    wrong_unseen_poses,
+)
+from nerfreg.training.contracts_setup import wrong_encoder, wrong_module, wrong_prepared
 
 Given = dict[str, Any]
+WATCHED = Rays | Samples | DensitySamples | ColorSamples | Rendering | SceneInfo
+"""What a hook gets and must not edit."""
 
 
 class CheckedHooks(Hooks):
@@ -43,16 +67,21 @@ class CheckedHooks(Hooks):
         watched = {
             name: Untouched(value)
             for name, value in before.items()
-            if isinstance(value, Rays | Samples | Rendering)
+            if isinstance(value, WATCHED)
         }
         answer = super()._ask(hook, plugins, given)
         wrong = [f"{name}.{edit}" for name, watch in watched.items() for edit in watch.edits()]
         wrong += MISTAKES[hook](before, answer)
         if wrong:
-            who = f"plugin{'s' if len(plugins) > 1 else ''} {', '.join(plugins)}"
-            when = "" if step is None else f" at step {step.index}"
-            raise NerfregError(f"{who}, {hook}{when}: {'; '.join(wrong)}")
+            self._refuse(hook, plugins, step, wrong)
         return answer
+
+    def _refuse(
+        self, hook: str, plugins: tuple[str, ...], step: Step | None, wrong: list[str]
+    ) -> None:
+        who = f"plugin{'s' if len(plugins) > 1 else ''} {', '.join(plugins)}"
+        when = "" if step is None else f" at step {step.index}"
+        raise NerfregError(f"{who}, {hook}{when}: {'; '.join(wrong)}")
 
 
 def _layer(given: Given, answer: Any) -> list[str]:
@@ -67,11 +96,48 @@ def _ray_bounds(given: Given, answer: Any) -> list[str]:
     return wrong_bounds(*answer, given["rays"])
 
 
+def _loss(given: Given, answers: Any) -> list[str]:
+    # In half precision, losses are computed and returned in float32.
+    dtype = given["rendering"].density.dtype
+    dtype = dtype if dtype in (torch.float32, torch.float64) else None
+    return [line for terms in answers for line in wrong_terms(terms, dtype)]
+
+
+def _unseen_poses(given: Given, answers: Any) -> list[str]:
+    views = len(given["scene_info"].cameras)
+    return [line for poses in answers for line in wrong_unseen_poses(poses, given["count"], views)]
+
+
+def _each(wrong: Callable[[Any], list[str]]) -> Callable[[Given, Any], list[str]]:
+    """For a hook that every plugin answers."""
+    return lambda _, answers: [line for answer in answers for line in wrong(answer)]
+
+
+def _each_of(
+    name: str, wrong: Callable[[Any, Any], list[str]]
+) -> Callable[[Given, Any], list[str]]:
+    """For a hook that every plugin answers, by what it was given."""
+    return lambda given, answers: [
+        line for answer in answers for line in wrong(given[name], answer)
+    ]
+
+
 MISTAKES: dict[str, Callable[[Given, Any], list[str]]] = {
-    "nerfreg_needs": lambda _, answers: [line for needs in answers for line in wrong_needs(needs)],
+    "nerfreg_encoder": lambda _, answer: wrong_encoder(answer),
     "nerfreg_layer": _layer,
+    "nerfreg_module": _each(wrong_module),
+    "nerfreg_prepare": _each_of("photographs", wrong_prepared),
+    "nerfreg_known_depth": _each(wrong_known_depth),
+    "nerfreg_needs": _each(wrong_needs),
+    "nerfreg_unseen_poses": _unseen_poses,
+    "nerfreg_rays": lambda given, answer: wrong_rays(given["rays"], answer),
     "nerfreg_ray_bounds": _ray_bounds,
+    "nerfreg_empty": _each_of("positions", wrong_empty),
     "nerfreg_encoder_input": lambda given, answer: wrong_samples(given["samples"], answer),
-    "nerfreg_loss": lambda _, answers: [line for terms in answers for line in wrong_terms(terms)],
+    "nerfreg_density": lambda given, answer: wrong_density(given["samples"], answer),
+    "nerfreg_color_input": _each_of("samples", wrong_color_input),
+    "nerfreg_rendering": lambda given, answer: wrong_rendering(given["rendering"], answer),
+    "nerfreg_loss": _loss,
+    "nerfreg_metrics": _each(wrong_metrics),
 }
 """Tells the mistakes in what a hook returned, by what it was given."""

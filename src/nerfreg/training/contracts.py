@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import fields, is_dataclass
 from functools import cached_property
 
@@ -10,9 +10,17 @@ import torch
 from torch import Tensor, nn
 
 from nerfreg.field.layers import AffineLayer
-from nerfreg.hooks import NEIGHBORS, Needs, Rays, Rendering, Samples
+from nerfreg.hooks import (
+    NEIGHBORS,
+    ColorSamples,
+    DensitySamples,
+    Needs,
+    Rays,
+    Rendering,
+    Samples,
+)
 from nerfreg.numerics import not_finite
-from nerfreg.scenes.scene import Photographs
+from nerfreg.scenes.scene import SceneInfo
 
 
 def wrong_known_depth(known: Tensor) -> list[str]:
@@ -38,7 +46,7 @@ def wrong_needs(needs: object) -> list[str]:
     if needs is None:
         return []
     if not isinstance(needs, Needs):
-        return [f"returned {_kind(needs)}, not a Needs"]
+        return [f"returned {kind(needs)}, not a Needs"]
     share = "at least 0 and below 1"
     demands = {
         "patch_size": (
@@ -59,7 +67,7 @@ def wrong_needs(needs: object) -> list[str]:
 
 def wrong_bounds(near: object, far: object, rays: Rays) -> list[str]:
     """Check that near and far of `nerfreg_ray_bounds` are (R,), finite and in order."""
-    wrong = _unlike("near", near, rays.near) + _unlike("far", far, rays.far)
+    wrong = unlike("near", near, rays.near) + unlike("far", far, rays.far)
     if wrong or not (isinstance(near, Tensor) and isinstance(far, Tensor)):
         return wrong
     beyond = (near.detach() > far.detach()).nonzero()
@@ -78,13 +86,13 @@ def wrong_samples(before: Samples, after: object) -> list[str]:
     It must have the same shapes, be finite, and ask for no more features than there are.
     """
     if not isinstance(after, Samples):
-        return [f"returned {_kind(after)}, not Samples"]
-    wrong = _unlike("positions", after.positions, before.positions)
-    wrong += _unlike("t", after.t, before.t)
+        return [f"returned {kind(after)}, not Samples; return `samples` to leave them as they are"]
+    wrong = unlike("positions", after.positions, before.positions)
+    wrong += unlike("t", after.t, before.t)
     # Directions may come as (R, 3), and go on as (R, N, 3).
     per_sample = isinstance(after.directions, Tensor) and after.directions.ndim == 3
     model = before.positions if per_sample else before.directions
-    wrong += _unlike("directions", after.directions, model)
+    wrong += unlike("directions", after.directions, model)
     for side in ("density", "color"):
         width, left = getattr(before, f"{side}_width"), getattr(after, f"{side}_width")
         active = getattr(after, f"{side}_features")
@@ -95,17 +103,34 @@ def wrong_samples(before: Samples, after: object) -> list[str]:
     return wrong
 
 
-def wrong_terms(terms: Mapping[str, object]) -> list[str]:
-    """Check that the terms of `nerfreg_loss`, by name, are finite scalars."""
+def wrong_terms(terms: object, dtype: torch.dtype | None = None) -> list[str]:
+    """Check that the terms of `nerfreg_loss`, by name, are finite scalars.
+
+    Args:
+        terms: What the hook returned.
+        dtype: The type that they must have; None: any.
+    """
+    if not isinstance(terms, Mapping):
+        return [f"returned {kind(terms)}; return a dict of terms by name, {{}} if there are none"]
     wrong = []
     for name, value in terms.items():
         if not isinstance(value, Tensor):
-            wrong.append(f"term '{name}' is {_kind(value)}, not a tensor")
+            wrong.append(f"term '{name}' is {kind(value)}, not a tensor")
         elif value.ndim != 0:
             wrong.append(f"term '{name}' has shape {tuple(value.shape)}, not that of a scalar")
         else:
             wrong += not_finite(f"term '{name}'", value)
+            wrong += _other_precision(name, value, dtype)
     return wrong
+
+
+def _other_precision(name: str, value: Tensor, dtype: torch.dtype | None) -> list[str]:
+    if dtype in (None, value.dtype):
+        return []
+    wide = value.dtype == torch.float64
+    cost = "doubles the cost of all that follows" if wide else "has too few digits for a loss"
+    found, wanted = (str(given).removeprefix("torch.") for given in (value.dtype, dtype))
+    return [f"term '{name}' is in {found}, the rendering in {wanted}: it {cost}; return {wanted}"]
 
 
 def wrong_layer(layer: object, in_features: int, out_features: int) -> list[str]:
@@ -115,7 +140,7 @@ def wrong_layer(layer: object, in_features: int, out_features: int) -> list[str]
     `AffineLayer` also by its effective weight and bias.
     """
     if not isinstance(layer, nn.Module):
-        return [f"returned {_kind(layer)}, not a torch module"]
+        return [f"returned {kind(layer)}, not a torch module"]
     wrong = [line for name, values in layer.named_parameters() for line in not_finite(name, values)]
     probe = torch.stack([torch.zeros(in_features), torch.ones(in_features)])
     try:
@@ -126,12 +151,12 @@ def wrong_layer(layer: object, in_features: int, out_features: int) -> list[str]
     except Exception as error:  # a foreign module may raise anything
         failure = f"fails on (points, {in_features}): {type(error).__name__}: {error}"
         return [*wrong, failure.partition("\n")[0]]
-    wrong += _unlike("output", output, probe.new_empty(2, out_features))
+    wrong += unlike("output", output, probe.new_empty(2, out_features))
     if affine is not None:
         weight, bias = affine
-        wrong += _unlike("effective weight", weight, probe.new_empty(out_features, in_features))
+        wrong += unlike("effective weight", weight, probe.new_empty(out_features, in_features))
         if bias is not None:
-            wrong += _unlike("effective bias", bias, probe.new_empty(out_features))
+            wrong += unlike("effective bias", bias, probe.new_empty(out_features))
     return wrong
 
 
@@ -143,7 +168,10 @@ class Untouched:
     with what they must be.
     """
 
-    def __init__(self, watched: Rendering | Rays | Samples | Photographs) -> None:
+    def __init__(
+        self,
+        watched: Rendering | Rays | Samples | DensitySamples | ColorSamples | SceneInfo,
+    ) -> None:
         self._watched = watched
         self._tensors = dict(_tensors(watched))
         self._versions = {name: tensor._version for name, tensor in self._tensors.items()}
@@ -169,18 +197,24 @@ class Untouched:
 
 
 def _tensors(watched: object, prefix: str = "") -> Iterator[tuple[str, Tensor]]:
-    assert is_dataclass(watched)
-    for field in fields(watched):
-        value = getattr(watched, field.name)
+    if is_dataclass(watched):
+        parts: Iterable[tuple[str, object]] = (
+            (field.name, getattr(watched, field.name)) for field in fields(watched)
+        )
+    else:
+        parts = watched.items() if isinstance(watched, Mapping) else ()
+    for name, value in parts:
         if isinstance(value, Tensor):
-            yield prefix + field.name, value
-        elif is_dataclass(value):
-            yield from _tensors(value, f"{prefix}{field.name}.")
+            yield prefix + name, value
+        elif is_dataclass(value) or isinstance(value, Mapping):
+            yield from _tensors(value, f"{prefix}{name}.")
 
 
 @torch.no_grad()
 def _computed(watched: object) -> Iterator[tuple[str, Tensor]]:
-    for name, value in vars(type(watched)).items():
+    # Those of a rendering alone: the raw densities of DensitySamples cost an evaluation, which a
+    # hook that does not ask for them does without.
+    for name, value in vars(type(watched)).items() if isinstance(watched, Rendering) else ():
         if isinstance(value, cached_property):
             # Not cached, and without a graph: a graph made here would change the order of later
             # sums, and a run that is looked at must train as one that is not.
@@ -192,17 +226,24 @@ def _same(a: Tensor, b: Tensor) -> bool:
     return torch.equal(a.detach(), b) or bool(((a == b) | (a.isnan() & b.isnan())).all())
 
 
-def _unlike(name: str, values: object, model: Tensor) -> list[str]:
-    """What keeps `values` from being a finite tensor of the model's shape, dtype and device."""
+def unlike(name: str, values: object, model: Tensor) -> list[str]:
+    """Check that `values` are a finite tensor of the model's shape, dtype and device."""
+    wrong = differs(name, values, model)
+    return wrong or (not_finite(name, values) if isinstance(values, Tensor) else [])
+
+
+def differs(name: str, values: object, model: Tensor) -> list[str]:
+    """Check that `values` are a tensor of the model's shape, dtype and device."""
     if not isinstance(values, Tensor):
-        return [f"{name}: is {_kind(values)}, not a tensor"]
+        return [f"{name}: is {kind(values)}, not a tensor"]
     for what in ("shape", "dtype", "device"):
         found, wanted = getattr(values, what), getattr(model, what)
         if found != wanted:
             pair = (tuple(found), tuple(wanted)) if what == "shape" else (found, wanted)
             return [f"{name}: has {what} {pair[0]}, not {pair[1]}"]
-    return not_finite(name, values)
+    return []
 
 
-def _kind(value: object) -> str:
+def kind(value: object) -> str:
+    """Return what a value is, in words."""
     return "None" if value is None else f"of type {type(value).__name__}"
