@@ -11,10 +11,10 @@ import torch
 from torch import nn
 
 from nerfreg import Needs, Regularizer, hookimpl
-from nerfreg.checks.driver import Subject
 from nerfreg.checks.report import Report
 from nerfreg.checks.run import ALL_CASES
 from nerfreg.checks.run import check_plugin as check
+from nerfreg.checks.subject import Subject
 from nerfreg.field.layers import AffineLayer
 from nerfreg.numerics import exact
 

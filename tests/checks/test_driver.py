@@ -7,8 +7,9 @@ import torch
 
 from nerfreg import Regularizer, hookimpl
 from nerfreg.checks.cases import CASES
-from nerfreg.checks.driver import Driver, Subject
+from nerfreg.checks.driver import Driver
 from nerfreg.checks.inputs import DTYPES, cast
+from nerfreg.checks.subject import Subject
 from nerfreg.registry import PluginInfo
 from nerfreg.rendering.compositing import composite
 

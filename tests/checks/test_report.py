@@ -6,8 +6,9 @@ import math
 import torch
 from omegaconf import OmegaConf
 
-from nerfreg.checks.driver import Subject
-from nerfreg.checks.report import COLUMNS, Report, Spot, print_json, print_reports
+from nerfreg.checks.report import Report, Spot, UnpreparedError
+from nerfreg.checks.subject import Subject
+from nerfreg.checks.tables import COLUMNS, print_json, print_reports
 
 WALL = Spot("wall_first", "float32", 48)
 REPRODUCTION = (
@@ -73,12 +74,16 @@ def test_table_in_plain_text(capsys):
     ]
     assert max(map(len, lines[:2])) <= 100
     assert lines[2].startswith("~")
-    assert lines[3:7] == [
-        "",
-        "suspect: value: not finite",
-        f"    {REPRODUCTION}",
-        "    and 1 times more, in fog",
+    assert max(map(len, lines[3:-2])) <= 100
+    assert lines[3:5] == ["", "suspect:"]
+    assert [line.split()[:3] for line in lines[5:9]] == [
+        ["value", "FAIL", "3"],
+        ["gradient", "skipped", "no"],
+        ["error", "FAIL", "3"],
+        ["invariance", "skipped", "no"],
     ]
+    at = lines.index("suspect: value: not finite")
+    assert lines[at + 1 : at + 3] == [f"    {REPRODUCTION}", "    and 1 times more, in fog"]
 
 
 def test_table_shows_five_different_failures(capsys):
@@ -88,12 +93,37 @@ def test_table_shows_five_different_failures(capsys):
     print_reports([report])
     out = capsys.readouterr().out
     assert [f"mistake {i}" in out for i in range(7)] == [True] * 5 + [False] * 2
-    assert "suspect: 2 other failures, in wall_first" in out
+    assert "suspect: value: 2 other failures, in wall_first" in out
+
+
+def test_a_check_without_files_is_skipped_and_says_why(capsys):
+    report = Report(suspect("prepare", "loss"))
+    with report.at(FOG, "value"):
+        raise UnpreparedError("nerfreg_prepare: no file depth/0.png")
+    assert report.failures == []
+    print_reports([report])
+    out = capsys.readouterr().out
+    assert "  value       skipped        nerfreg_prepare: no file depth/0.png" in out
+    print_json([report])
+    [plugin] = json.loads(capsys.readouterr().out)["plugins"]
+    assert plugin["skipped"]["value"] == "nerfreg_prepare: no file depth/0.png"
+    assert plugin["skipped"]["cost"] == "no hook that is called in a step"
+
+
+def test_failures_of_one_check_do_not_hide_those_of_another(capsys):
+    report = Report(suspect())
+    report.spot = WALL
+    report.judge("value", [f"mistake {i}" for i in range(7)])
+    report.judge("cost", ["too slow"])
+    print_reports([report])
+    assert "suspect: cost: too slow" in capsys.readouterr().out
 
 
 def test_json(capsys):
     print_json([made()])
     [plugin] = json.loads(capsys.readouterr().out)["plugins"]
+    assert plugin["times_checked"]["value"] == 3
+    assert "value" not in plugin["skipped"]
     assert plugin["verdict"] == "FAIL"
     assert plugin["worst"]["float32"] == {
         "error": "nan",

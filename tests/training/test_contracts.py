@@ -128,7 +128,9 @@ def test_samples_that_no_field_takes(
 
 
 def test_samples_must_come_back(samples: Samples) -> None:
-    assert wrong_samples(samples, None) == ["returned None, not Samples"]
+    assert wrong_samples(samples, None) == [
+        "returned None, not Samples; return `samples` to leave them as they are"
+    ]
 
 
 def test_terms() -> None:

@@ -14,7 +14,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor, nn
 
 from nerfreg.checks.inputs import Inputs, cast
-from nerfreg.checks.report import Unprepared
+from nerfreg.checks.report import UnpreparedError
 from nerfreg.checks.small_field import FEATURES, SmallField, make_table
 from nerfreg.checks.subject import Subject
 from nerfreg.errors import NerfregError, PluginError
@@ -69,7 +69,7 @@ class Driver:
             hooks: Hooks of the plugin; None: those of a run in which it is on all the time.
 
         Raises:
-            Unprepared: The plugin says that it cannot do without the files of a real scene.
+            UnpreparedError: The plugin says that it cannot do without the files of a real scene.
         """
         self.subject = subject
         self.hooks = hooks or subject.hooks()
@@ -142,6 +142,8 @@ class Driver:
 
     def keep_contract(self, step: Step) -> None:
         """Ask the plugin for its contract now, and remember the worst answers."""
+        if self.subject.name not in self.hooks.plugins:
+            return
         for promise, excess in self.hooks.contract(self.subject.name, step).items():
             if math.isnan(excess) or excess > self.broken.get(promise, 0.0):
                 self.broken[promise] = excess
@@ -209,7 +211,7 @@ class Driver:
             raise
         except NerfregError as error:
             # The plugin's own words: it misses a file, for example, that no made-up scene has.
-            raise Unprepared(f"nerfreg_prepare: {error}") from error
+            raise UnpreparedError(f"nerfreg_prepare: {error}") from error
         return inputs.with_data(prepared) if prepared else inputs
 
     def _even_edges(self, rays: Rays) -> Float[Tensor, "rays edges"]:
@@ -233,9 +235,7 @@ class Driver:
         turned = (directions if directions.ndim == 3 else directions[:, None]) - old[:, None]
         features = single(self.inputs.features) + torch.cat([moved, later[..., None]], dim=-1)
         index = self.rendering.colored.nonzero(as_tuple=True)
-        raw, hue = self._evaluate(
-            features, turned, self._color_input(rays, after.t, index, step)
-        )
+        raw, hue = self._evaluate(features, turned, self._color_input(rays, after.t, index, step))
         change, turn = raw - self._still[0], hue - self._still[1]
         factor = torch.exp(REACH * torch.tanh(change[:, 0].view(later.shape)))
 
@@ -276,7 +276,7 @@ class Driver:
             seen = seen + turned.expand(*colored.shape, 3)[colored]
             if more is None:
                 more = seen.new_zeros(len(seen), self.hooks.color_inputs)
-            inputs = [seen, raw[:, 1:][colored.flatten()], single(more)]
+            inputs = [seen, raw[:, 1:][colored.flatten()], more.to(raw.dtype)]
             return raw, self.networks["color"](torch.cat(inputs, dim=1))
 
     def _assemble(

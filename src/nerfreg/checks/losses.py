@@ -10,9 +10,10 @@ from torch import Tensor
 
 from nerfreg.checks.accuracy import not_finite_gradients, relative_error, wrong_gradient
 from nerfreg.checks.cases import SIZES, Case
-from nerfreg.checks.driver import Driver, Subject
+from nerfreg.checks.driver import Driver
 from nerfreg.checks.inputs import Inputs, cast
 from nerfreg.checks.report import LIMITS, Report
+from nerfreg.checks.subject import Subject
 from nerfreg.rays.batch import Batch
 from nerfreg.training.contracts import Untouched, wrong_terms
 
@@ -29,7 +30,9 @@ def check_losses(report: Report, case: Case, inputs: Inputs) -> None:
     batch, watch = Batch.of(inputs.rays, driver.step()), Untouched(driver.rendering)
     terms = driver.terms(batch.step)
     driver.keep_contract(batch.step)
-    wrong = watch.edits() + wrong_terms(terms)
+    # Losses of half precision are computed in float32.
+    dtype = torch.float32 if spot.dtype == "float32" else None
+    wrong = watch.edits() + wrong_terms(terms, dtype)
     report.judge("value", wrong)
     if driver.broken:
         report.judge("contract", driver.broken_promises())

@@ -7,7 +7,9 @@ from dataclasses import dataclass
 
 import torch
 
-from nerfreg.checks.report import Report, Spot
+from nerfreg.checks.report import Report, Spot, UnpreparedError
+from nerfreg.checks.watch import WatchedHooks
+from nerfreg.errors import NerfregError, PluginError
 from nerfreg.scenes.cameras import Cameras
 from nerfreg.scenes.scene import Photographs
 from nerfreg.training.contracts import Untouched, wrong_known_depth
@@ -88,3 +90,16 @@ def check_known_depth(report: Report, _: PhotographCase, photographs: Photograph
     known = report.subject.hooks().known_depth(photographs)
     report.judge("contract", watch.edits())
     report.judge("value", [] if known is None else wrong_known_depth(known))
+
+
+def check_prepare(report: Report, _: PhotographCase, photographs: Photographs) -> None:
+    """Check that what is prepared are values of each pixel."""
+    hooks = WatchedHooks(report.subject.selected())
+    try:
+        hooks.prepare(photographs)
+    except PluginError:
+        raise
+    except NerfregError as error:
+        raise UnpreparedError(f"nerfreg_prepare: {error}") from error
+    for check in ("contract", "effects"):
+        report.judge(check, hooks.take(check))

@@ -16,16 +16,16 @@ from nerfreg.checks.subject import Subject
 from nerfreg.errors import NerfregError, PluginError
 
 CHECKS = {
-    "value": "terms and outputs of layers are finite, in the rendering's type; nothing is edited",
+    "value": "values are finite and in the rendering's type; nothing is edited",
     "gradient": "gradients are there, finite, and as finite differences have them",
-    "error": "values are exact to the limits of float32 and float64",
-    "invariance": "nothing depends on order, number or chunks of the rays, threads, or scale",
-    "contract": "every hook returns what it specifies; the plugin's own promises hold",
-    "effects": "nothing is changed besides: no targets, weights, global generators or settings",
-    "steps": "all goes well from step 0 to the end and around the window; no rendering is kept",
-    "cost": "work and memory grow in proportion to rays and samples",
-    "run": "a small run trains; its evaluation is that of a fresh process",
-    "state": "the next step is the same with everything restored from the checkpoint",
+    "error": "values are exact, to the digits of their type",
+    "invariance": "order, number, chunks, threads and scale make no difference",
+    "contract": "every hook returns what it specifies; promises are kept",
+    "effects": "targets, weights, global generators and settings stay as they are",
+    "steps": "no step raises, in any window; nothing of a step is kept after it",
+    "cost": "work grows in proportion to the number of rays and of samples",
+    "run": "a small run trains; a fresh process evaluates it in the same way",
+    "state": "a checkpoint restores all that the next step depends on",
 }
 """All checks, with what holds where one is ok."""
 
@@ -66,7 +66,7 @@ class Worst:
     exact: bool
 
 
-class Unprepared(NerfregError):
+class UnpreparedError(NerfregError):
     """A plugin cannot do without the files of a real scene."""
 
 
@@ -101,7 +101,7 @@ class Report:
         self.spot = spot
         try:
             yield
-        except Unprepared as error:
+        except UnpreparedError as error:
             self.skip(check, str(error))
         except Exception as error:  # a foreign plugin may raise anything
             self.judge(check, [in_words(error)])

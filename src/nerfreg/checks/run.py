@@ -11,31 +11,67 @@ from rich.console import Console
 
 from nerfreg.checks.cases import CASES, Case
 from nerfreg.checks.compositor import check_compositing
-from nerfreg.checks.driver import Subject
+from nerfreg.checks.cost import COST_CASE, check_cost
 from nerfreg.checks.inputs import DTYPES
 from nerfreg.checks.layers import LAYER_CASES, LayerCase, check_layers
 from nerfreg.checks.losses import check_losses
-from nerfreg.checks.photographs import PHOTOGRAPH_CASES, PhotographCase, check_known_depth
-from nerfreg.checks.report import Report, print_json, print_reports
-from nerfreg.checks.transforms import check_encoder_input, check_needs, check_ray_bounds
+from nerfreg.checks.photographs import (
+    PHOTOGRAPH_CASES,
+    PhotographCase,
+    check_known_depth,
+    check_prepare,
+)
+from nerfreg.checks.report import Report
+from nerfreg.checks.small_run import RUN_CASE, check_run
+from nerfreg.checks.steps import STEPS_CASE, RunCase, check_steps
+from nerfreg.checks.subject import Subject
+from nerfreg.checks.tables import print_json, print_reports
+from nerfreg.checks.terms import TERMS_CASE, check_terms
+from nerfreg.checks.transforms import (
+    RENDERING_HOOKS,
+    check_encoder_input,
+    check_needs,
+    check_ray_bounds,
+    check_rendering,
+)
 from nerfreg.errors import NerfregError, nearest
 from nerfreg.registry import installed
+from nerfreg.registry.plugins import HOOKS
 
-AnyCase = Case | LayerCase | PhotographCase
-ALL_CASES: tuple[AnyCase, ...] = (*CASES, *LAYER_CASES, *PHOTOGRAPH_CASES)
+AnyCase = Case | LayerCase | PhotographCase | RunCase
+ALL_CASES: tuple[AnyCase, ...] = (
+    *CASES,
+    *LAYER_CASES,
+    *PHOTOGRAPH_CASES,
+    TERMS_CASE,
+    STEPS_CASE,
+    COST_CASE,
+    RUN_CASE,
+)
 COMPOSITOR = Subject("compositing", ("core",), OmegaConf.create())
-CHECKS_OF: dict[type[AnyCase], tuple[tuple[str, str, Callable[..., None]], ...]] = {
+PLUGIN = tuple(hook.removeprefix("nerfreg_") for hook in HOOKS)
+Check = tuple[tuple[str, ...], str, Callable[..., None]]
+CHECKS_OF: dict[type[AnyCase] | AnyCase, tuple[Check, ...]] = {
     Case: (
-        ("core", "value", check_compositing),
-        ("needs", "contract", check_needs),
-        ("ray_bounds", "contract", check_ray_bounds),
-        ("encoder_input", "contract", check_encoder_input),
-        ("loss", "value", check_losses),
+        (("core",), "value", check_compositing),
+        (("needs",), "contract", check_needs),
+        (("ray_bounds",), "contract", check_ray_bounds),
+        (("encoder_input",), "contract", check_encoder_input),
+        (RENDERING_HOOKS, "contract", check_rendering),
+        (("loss",), "value", check_losses),
     ),
-    LayerCase: (("layer", "value", check_layers),),
-    PhotographCase: (("known_depth", "value", check_known_depth),),
+    LayerCase: ((("layer",), "value", check_layers),),
+    PhotographCase: (
+        (("known_depth",), "value", check_known_depth),
+        (("prepare",), "contract", check_prepare),
+    ),
+    TERMS_CASE: ((("loss",), "gradient", check_terms),),
+    STEPS_CASE: ((PLUGIN, "steps", check_steps),),
+    COST_CASE: ((PLUGIN, "cost", check_cost),),
+    RUN_CASE: ((PLUGIN, "run", check_run),),
 }
-"""What a kind of case is for: the hook, what has failed if the plugin raises, and the check."""
+"""What a case, or a kind of them, is for: hooks of which the plugin must have one, what has failed
+if the plugin raises, and the check."""
 
 
 def check_plugin(
@@ -55,8 +91,8 @@ def check_plugin(
     report = Report(subject)
     points = ((case, *point) for case in cases for point in case.points(dtypes, samples))
     for case, spot, given in points:
-        for hook, failing, check in CHECKS_OF[type(case)]:
-            if hook in subject.hook_points:
+        for hooks, failing, check in CHECKS_OF.get(case) or CHECKS_OF[type(case)]:
+            if any(hook in subject.hook_points for hook in hooks):
                 with report.at(spot, failing):
                     check(report, case, given)
     return report

@@ -23,23 +23,21 @@ LARGEST = 15.0
 """Bound of the exponent of density."""
 
 
-@dataclass(frozen=True)
+@dataclass
 class DenseLevel:
     """A level whose vertices all have an entry; implements `TableLevel`.
 
     Attributes:
         resolution: Cells per side.
-        table: (E, 2) its entries.
+        entries: Number of entries, E.
+        table: (E, 2) the entries.
+        dense: Always true.
     """
 
     resolution: int
+    entries: int
     table: Float[Tensor, "entries 2"]
     dense: bool = True
-
-    @property
-    def entries(self) -> int:
-        """Number of entries."""
-        return len(self.table)
 
     def features(self, vertices: Int[Tensor, "*vertices 3"]) -> Float[Tensor, "*vertices 2"]:
         """Return the features of vertices, given as integers from 0 to `resolution`."""
@@ -71,7 +69,7 @@ class SmallField:
         """Both levels."""
         ends = pairwise(map(int, LAYOUT.offsets))
         return tuple(
-            DenseLevel(int(cells), self.table[first:last])
+            DenseLevel(int(cells), last - first, self.table[first:last])
             for cells, (first, last) in zip(LAYOUT.resolutions, ends, strict=True)
         )
 
@@ -126,7 +124,7 @@ class SmallField:
             more: What plugins add to the input of the colour network; None: zeros.
         """
         more = geometry.new_zeros(len(geometry), self.more) if more is None else more
-        inputs = torch.cat([single(directions), geometry, more], dim=1)
+        inputs = torch.cat([single(directions), geometry, more.to(geometry.dtype)], dim=1)
         return torch.sigmoid(self.networks["color"](inputs, plain=True))
 
 

@@ -4,15 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TypeVar
 
 from omegaconf import DictConfig, OmegaConf
 
 from nerfreg.config.plugin import plugin_config
 from nerfreg.hooks import Regularizer
 from nerfreg.registry import Hooks, PluginInfo
-
-AnyHooks = TypeVar("AnyHooks", bound=Hooks)
 
 
 @dataclass(frozen=True)
@@ -37,27 +34,31 @@ class Subject:
         config = plugin_config(plugin, overrides)
         return cls(plugin.name, plugin.hook_points, config, tuple(overrides))
 
-    def plugin(self) -> Regularizer:
+    @classmethod
+    def none(cls) -> Subject:
+        """Return a subject that is no plugin."""
+        return cls("", (), OmegaConf.create())
+
+    def hooks(self) -> Hooks:
+        """Return the hooks of a run with this plugin alone, of weight 1 and on all the time."""
+        return Hooks(self.selected())
+
+    def configured(self) -> Regularizer:
         """Return the plugin as it is configured."""
         plugin = OmegaConf.to_object(self.config)
         assert isinstance(plugin, Regularizer)
         return plugin
 
-    def hooks(
-        self,
-        kind: type[AnyHooks] = Hooks,  # type: ignore[assignment]  # the bound is its default
-        weight: float = 1.0,
-        start: int | float = 0.0,
-        end: int | float = 1.0,
-    ) -> AnyHooks:
-        """Return the hooks of a run with this plugin alone.
+    def selected(
+        self, start: int | float = 0.0, end: int | float = 1.0, weight: float = 1.0
+    ) -> dict[str, Regularizer]:
+        """Return the plugin by its name, as a run has it, with another window and weight.
 
         Args:
-            kind: Class of the hooks.
-            weight: The plugin's weight.
-            start: Start of its window.
-            end: End of its window.
+            start: Start of the window.
+            end: End of the window.
+            weight: The weight.
         """
-        plugin = self.plugin()
+        plugin = self.configured()
         plugin.weight, plugin.start, plugin.end = weight, start, end
-        return kind({self.name: plugin})
+        return {self.name: plugin}

@@ -10,10 +10,12 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
+from nerfreg.checks.accuracy import not_finite_gradients
 from nerfreg.checks.cases import SIZES, Case
 from nerfreg.checks.driver import Driver
 from nerfreg.checks.inputs import Inputs
 from nerfreg.checks.report import Report
+from nerfreg.checks.watch import WatchedHooks
 from nerfreg.field import FieldConfig
 from nerfreg.field.directions import WIDTH, spherical_harmonics
 from nerfreg.field.grid_layout import FEATURES
@@ -25,6 +27,7 @@ from nerfreg.training.contracts import Untouched, wrong_bounds, wrong_needs, wro
 FRACTIONS = (0.0, 0.01, 0.05, 0.5, 1.0, 2.0)
 """Shares of the run at which a step is tried; 2 is beyond its end."""
 
+RENDERING_HOOKS = ("rays", "empty", "density", "color_input", "rendering")
 BACKENDS = ("torch", "numba")
 POINTS, LEVELS = 256, 4
 GRID_WIDTH = FEATURES * LEVELS
@@ -70,6 +73,25 @@ def check_encoder_input(report: Report, _: Case, inputs: Inputs) -> None:
             found = [line for backend in BACKENDS for line in wrong_masks(after, backend)]
         wrong += _at(at, found)
     report.judge("contract", wrong + driver.broken_promises())
+
+
+def check_rendering(report: Report, case: Case, inputs: Inputs) -> None:
+    """Check what the hooks between rays and rendering answer, and that gradients stay finite."""
+    hooks = WatchedHooks(report.subject.selected())
+    driver = Driver(report.subject, inputs, hooks)
+    step = driver.step()
+    rays = hooks.rays(inputs.rays, step)
+    rendering = driver.render(rays, step, driver.rendering)
+    report.judge("contract", hooks.take("contract") + driver.broken_promises())
+    report.judge("effects", hooks.take("effects"))
+    wrong = [
+        line
+        for name in ("rgb", "depth")
+        for line in not_finite_gradients(
+            f"gradient of rendering.{name} by ", getattr(rendering, name), driver.leaves
+        )
+    ]
+    report.judge("gradient", wrong)
 
 
 def _at(fraction: float, wrong: Iterable[str]) -> list[str]:

@@ -65,9 +65,7 @@ class CheckedHooks(Hooks):
         # with others.
         before = {k: replace(v) if isinstance(v, Samples) else v for k, v in given.items()}
         watched = {
-            name: Untouched(value)
-            for name, value in before.items()
-            if isinstance(value, WATCHED)
+            name: Untouched(value) for name, value in before.items() if isinstance(value, WATCHED)
         }
         answer = super()._ask(hook, plugins, given)
         wrong = [f"{name}.{edit}" for name, watch in watched.items() for edit in watch.edits()]
@@ -97,9 +95,10 @@ def _ray_bounds(given: Given, answer: Any) -> list[str]:
 
 
 def _loss(given: Given, answers: Any) -> list[str]:
-    # In half precision, losses are computed and returned in float32.
-    dtype = given["rendering"].density.dtype
-    dtype = dtype if dtype in (torch.float32, torch.float64) else None
+    # Training is in float32; of other precisions, which `nerfreg check` tries, a loss may return
+    # another one.
+    plain = given["rendering"].density.dtype == torch.float32
+    dtype = torch.float32 if plain else None
     return [line for terms in answers for line in wrong_terms(terms, dtype)]
 
 

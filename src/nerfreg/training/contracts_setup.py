@@ -62,7 +62,7 @@ def wrong_module(given: object) -> list[str]:
     return wrong
 
 
-def wrong_prepared(prepared: object, photographs: Photographs) -> list[str]:
+def wrong_prepared(photographs: Photographs, prepared: object) -> list[str]:
     """Check that `nerfreg_prepare` returned, by name, values of each pixel, (V, H, W, ...)."""
     if prepared is None:
         return []
