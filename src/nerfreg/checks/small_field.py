@@ -45,6 +45,14 @@ class DenseLevel:
         side = self.resolution + 1
         return self.table[x + side * (y + side * z)]
 
+    def squared_differences(
+        self, vertices: Int[Tensor, "*vertices 3"]
+    ) -> Float[Tensor, "*vertices"]:
+        """Return the squared differences to the next vertices, over features and axes."""
+        own, next_ones = self.features(vertices), torch.eye(3, dtype=vertices.dtype)
+        others = [self.features(vertices + one) for one in next_ones]
+        return torch.stack([other - own for other in others]).square().sum(dim=(0, -1))
+
 
 @dataclass(frozen=True)
 class SmallField:

@@ -10,9 +10,10 @@ from torch import Tensor
 
 from nerfreg.checks.accuracy import not_finite_gradients, relative_error, wrong_gradient
 from nerfreg.checks.cases import SIZES
-from nerfreg.checks.driver import Driver, Subject
+from nerfreg.checks.driver import Driver
 from nerfreg.checks.inputs import DTYPES, Inputs
 from nerfreg.checks.report import LIMITS
+from nerfreg.checks.subject import Subject
 from nerfreg.testing.cases import CASE_NAMES, SAMPLES, case_named, inputs_of
 from nerfreg.testing.losses import Loss, subject_of
 from nerfreg.training.contracts import wrong_terms

@@ -11,7 +11,7 @@ from typing import Any, ClassVar
 from omegaconf import OmegaConf
 from torch import Tensor
 
-from nerfreg.checks.driver import Subject
+from nerfreg.checks.subject import Subject
 from nerfreg.errors import NerfregError, nearest
 from nerfreg.hooks import Rays, Regularizer, Rendering, Step, hookimpl
 from nerfreg.registry.plugins import PluginInfo
