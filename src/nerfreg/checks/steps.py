@@ -88,7 +88,7 @@ def _drive(
         except Exception as error:  # a foreign plugin may raise anything
             found["steps"].append(f"{in_words(error)}, at step {index} of {total}")
             break
-        if index == SETTLED:
+        if index == SETTLED and len(steps) == FIRST:
             kept.settle()
     try:
         hooks.end(driver.step_at(steps[-1], total))
