@@ -27,6 +27,7 @@ from nerfreg.checks.steps import STEPS_CASE, RunCase, check_steps
 from nerfreg.checks.subject import Subject
 from nerfreg.checks.tables import print_json, print_reports
 from nerfreg.checks.terms import TERMS_CASE, check_terms
+from nerfreg.checks.thread_count import threads_set
 from nerfreg.checks.transforms import (
     RENDERING_HOOKS,
     check_encoder_input,
@@ -93,7 +94,7 @@ def check_plugin(
     for case, spot, given in points:
         for hooks, failing, check in CHECKS_OF.get(case) or CHECKS_OF[type(case)]:
             if any(hook in subject.hook_points for hook in hooks):
-                with report.at(spot, failing):
+                with threads_set(1), report.at(spot, failing):
                     check(report, case, given)
     return report
 

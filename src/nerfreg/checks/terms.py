@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
 from dataclasses import dataclass, replace
 
 import torch
@@ -16,7 +15,8 @@ from nerfreg.checks.inputs import Inputs, cast
 from nerfreg.checks.report import LIMITS, Report
 from nerfreg.checks.steps import RunCase, small_inputs
 from nerfreg.checks.subject import Subject
-from nerfreg.field.workers import set_threads, threads
+from nerfreg.checks.thread_count import threads_set
+from nerfreg.field.workers import threads
 from nerfreg.rays.batch import Batch
 
 TERMS_CASE = RunCase("terms", "terms of several cases: gradients, chunks of rays, threads")
@@ -115,9 +115,9 @@ def _by_chunks(subject: Subject) -> list[str] | None:
 
 def _by_threads(subject: Subject) -> list[str]:
     inputs = small_inputs(48).repeated(MANY)
-    with _threads(1):
+    with threads_set(1):
         one = _values(subject, inputs)[0]
-    with _threads(max(threads(), 2)):
+    with threads_set(max(threads(), 2)):
         several = _values(subject, inputs)[0]
     return _unlike(one, several, "the number of threads: {} with one, {} with several")
 
@@ -130,15 +130,3 @@ def _unlike(first: Mapping[str, Tensor], second: Mapping[str, Tensor], words: st
         for name, pair in pairs.items()
         if not relative_error(*pair, "float32") <= limit
     ]
-
-
-@contextmanager
-def _threads(count: int) -> Iterator[None]:
-    before, of_torch = threads(), torch.get_num_threads()
-    set_threads(min(count, before))
-    torch.set_num_threads(count)
-    try:
-        yield
-    finally:
-        set_threads(before)
-        torch.set_num_threads(of_torch)
