@@ -11,6 +11,9 @@ import pytest
 from hydra.core.config_store import ConfigStore
 
 PACKAGES = Path(__file__).parent / "packages"
+FIXTURES = {"binary", "broken", "namesake", "presets", "twin_a", "twin_b"}
+"""The packages that show what the core does with packages; all others are the gallery."""
+GALLERY = sorted({path.name for path in PACKAGES.iterdir()} - FIXTURES)
 
 
 def install(target: Path, *names: str) -> Path:
@@ -33,6 +36,16 @@ def bad_packages(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="session")
 def namesake_package(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return install(tmp_path_factory.mktemp("namesake"), "namesake")
+
+
+@pytest.fixture(scope="session")
+def gallery_packages(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return install(tmp_path_factory.mktemp("gallery"), *GALLERY)
+
+
+@pytest.fixture
+def gallery(gallery_packages: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(gallery_packages)
 
 
 @pytest.fixture(autouse=True)
