@@ -13,7 +13,7 @@ from hydra.core.config_store import ConfigStore
 PACKAGES = Path(__file__).parent / "packages"
 FIXTURES = {"binary", "broken", "namesake", "presets", "twin_a", "twin_b"}
 """The packages that show what the core does with packages; all others are the gallery."""
-GALLERY = sorted({path.name for path in PACKAGES.iterdir()} - FIXTURES)
+GALLERY = sorted({path.parent.name for path in PACKAGES.glob("*/pyproject.toml")} - FIXTURES)
 
 
 def install(target: Path, *names: str) -> Path:
@@ -21,6 +21,12 @@ def install(target: Path, *names: str) -> Path:
     options = ["--no-deps", "--no-build-isolation", "--no-index", "--target", str(target)]
     subprocess.run([*command, *options, *(str(PACKAGES / name) for name in names)], check=True)
     return target
+
+
+def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
+    """Call tests with an argument `package` for each package of the gallery."""
+    if "package" in metafunc.fixturenames:
+        metafunc.parametrize("package", GALLERY)
 
 
 @pytest.fixture(scope="session")
