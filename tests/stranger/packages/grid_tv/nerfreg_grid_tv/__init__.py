@@ -22,7 +22,7 @@ class GridTV(Regularizer):
     """
 
     weight: float = 1e-3
-    points: int = 4096
+    points: int = 2048
 
     cite: ClassVar[str] = """@inproceedings{sun2023vgos,
   title = {{VGOS}: Voxel Grid Optimization for View Synthesis from Sparse Inputs},

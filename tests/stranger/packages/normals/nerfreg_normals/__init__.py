@@ -14,19 +14,19 @@ from nerfreg import Regularizer, Rendering, Step, hookimpl
 class NormalSmoothness(Regularizer):
     """Normals of a surface are like those nearby (UNISURF; normals as in Ref-NeRF).
 
-    The normal is the negative gradient of the density, normalized. It is evaluated where rays meet
-    the surface, at their expected depth, and at a random place close by.
+    The normal is the negative gradient of the density, normalized. Two are compared: at places on
+    opposite sides of the point where a ray meets the surface, which is at its expected depth.
 
     Attributes:
         weight: Factor of the mean squared difference of two normals, which is 4 at most.
         rays: How many rays of a step are used.
-        radius: How far the second place lies from the first (standard deviation), as a share of
-            half the scene's box.
+        radius: How far the places lie from that point in x, y and z (standard deviation), as a
+            share of half the scene's box.
     """
 
     weight: float = 1e-3
     rays: int = 256
-    radius: float = 0.02
+    radius: float = 0.01
 
     cite: ClassVar[str] = """@inproceedings{oechsle2021unisurf,
   title = {{UNISURF}: Unifying Neural Implicit Surfaces and Radiance Fields},
@@ -45,8 +45,8 @@ class NormalSmoothness(Regularizer):
         depth = rendering.depth[hits, None].detach()
         surface = (rays.origins[hits] + rays.directions[hits] * depth).detach()
         shift = torch.randn(len(hits), 3, generator=step.generator).to(surface)
-        nearby = surface + self.radius * step.scene.half_box * shift
+        shift = shift * self.radius * step.scene.half_box
         # A gradient of a gradient: the weights are changed so that the normals turn.
-        gradient = step.field.density_gradient(torch.cat([surface, nearby]), create_graph=True)
-        here, there = normalize(-gradient, dim=1).chunk(2)
+        around = torch.cat([surface + shift, surface - shift])
+        here, there = normalize(-step.field.density_gradient(around), dim=1).chunk(2)
         return {"normals": (here - there).square().sum() / max(len(hits), 1)}
