@@ -15,7 +15,7 @@ from nerfreg.scenes.scene import Scene
 from nerfreg.training.trainer import Trainer
 
 pytestmark = pytest.mark.usefixtures("gallery")
-STEPS = 40
+STEPS = 25
 OWN = ("+reg=normals", "reg.normals.weight=1")
 
 
@@ -67,8 +67,8 @@ def fit_rough_plane(trainer: Trainer) -> None:
     field, generator = trainer.field, torch.Generator().manual_seed(0)
     optimizer = torch.optim.Adam(field.parameters(), lr=1e-2)
     low, high = trainer.scene.box
-    for _ in range(100):
-        points = torch.lerp(low, high, torch.rand(4096, 3, generator=generator))
+    for _ in range(60):
+        points = torch.lerp(low, high, torch.rand(2048, 3, generator=generator))
         waves = (points * 25).sin().prod(dim=1)
         target = 4 * torch.tanh((-points[:, 2] + 0.05 * waves) / 0.1)
         loss = (field.raw_density(points)[:, 0] - target).square().mean()
