@@ -50,8 +50,10 @@ def gallery_packages(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture
-def gallery(gallery_packages: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def gallery(gallery_packages: Path, monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """The gallery is installed; returns the names of its packages."""
     monkeypatch.syspath_prepend(gallery_packages)
+    return GALLERY
 
 
 @pytest.fixture(autouse=True)
