@@ -18,7 +18,7 @@ class DepthRanks(Regularizer):
     The map of the image NAME.png is NAME_depth.png. Only the order of its values counts.
 
     Attributes:
-        weight: Factor of the ranking loss, of depths as shares of the distance from near to far.
+        weight: Factor of the ranking loss, in which depths are compared relative to themselves.
         maps: Folder of the maps; empty: that of the images.
         disparity: Whether larger values are closer (MiDaS, DPT) instead of farther away.
     """
@@ -49,7 +49,7 @@ class DepthRanks(Regularizer):
 
     @hookimpl
     def nerfreg_loss(self, rendering: Rendering, step: Step) -> dict[str, Tensor]:
-        rays, depth, (near, far) = rendering.rays, rendering.depth, step.bounds
+        rays, depth = rendering.rays, rendering.depth
         known = rays.data[f"{self.instance}.depth"]
         # Pairs of rays of one view: each ray and the next of that view in a random order.
         order = torch.randperm(len(known), generator=step.generator).to(known.device)
@@ -58,5 +58,5 @@ class DepthRanks(Regularizer):
         closer = (known[b] - known[a]).sign() * (-1 if self.disparity else 1)
         # Nothing is known of pairs from two views, of equal values and of NaN.
         told = (rays.view[a] == rays.view[b]) & (closer.abs() == 1)
-        excess = closer * (depth[a] - depth[b]) / (far - near) + 1e-4
-        return {"depth_ranks": excess[told].relu().sum() / len(known)}
+        gap = (depth[a] - depth[b]) / (depth[a] + depth[b]).clamp_min(1e-6)
+        return {"depth_ranks": (closer * gap + 1e-4)[told].relu().sum() / len(known)}
