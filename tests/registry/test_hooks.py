@@ -213,6 +213,17 @@ class Depth(Regularizer):
         )
 
 
+@dataclass
+class Shade(Regularizer):
+    """Prepares the same number for each pixel."""
+
+    factor: float = 1.0
+
+    @hookimpl
+    def nerfreg_prepare(self, photographs):
+        return {"shade": torch.full(photographs.images.shape[:3], self.factor)}
+
+
 @pytest.fixture
 def photographs() -> Photographs:
     cameras = Cameras(
@@ -247,6 +258,19 @@ def test_depth_of_several_plugins_is_what_they_agree_on(photographs) -> None:
     # Intervals that touch have one distance in common.
     assert agreed(Depth(), Depth(first=2.0, last=3.0)) == [2.0, 2.0]
     assert agreed(nothing, Depth()) == agreed(Depth(), nothing) == [1.0, 2.0]
+
+
+def test_instances_of_a_plugin_find_what_each_has_prepared(photographs) -> None:
+    plugins = {"shade": Shade(), "shade@dark": Shade(factor=0.5)}
+    data = Hooks(plugins).prepare(photographs)
+    assert {name: float(values.max()) for name, values in data.items()} == {
+        "shade.shade": 1.0,
+        "shade@dark.shade": 0.5,
+    }
+    for plugin in plugins.values():
+        assert float(data[f"{plugin.instance}.shade"].max()) == plugin.factor
+    assert [fresh.instance for fresh in Hooks(plugins).fresh().plugins.values()] == [*plugins]
+    assert Shade.instance == ""
 
 
 def test_depth_of_a_wrong_kind_is_refused(photographs) -> None:

@@ -88,7 +88,7 @@ class Rays:
             NaN everywhere.
         unseen_views: (U,) the training view whose intrinsics each ray of `unseen` has, or None.
         data: What plugins prepared for each pixel (`nerfreg_prepare`), (S, ...) by the name
-            "plugin.name".
+            "plugin.name"; empty in evaluation.
     """
 
     origins: Float[Tensor, "rays 3"]

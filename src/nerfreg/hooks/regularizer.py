@@ -58,6 +58,8 @@ class Regularizer:
     - `evaluation_note` is a sentence that stands beside the scores of a run with this plugin.
     - `hook_versions` is the first and the last version of the hook specifications for which the
       plugin was written (`nerfreg.hooks.HOOKS_VERSION`).
+    - `instance` is what the plugin is called in its run. The core sets it; it differs from the
+      plugin's name where one is selected twice.
 
     Attributes:
         weight: Factor of every term that `nerfreg_loss` returns; 0 switches the plugin off at no
@@ -80,6 +82,7 @@ class Regularizer:
     hook_versions: ClassVar[tuple[int, int] | None] = None
     # Set on an instance by the configuration; a field could not be typed for Hydra.
     schedules: ClassVar[Mapping[str, Schedule]] = MappingProxyType({})
+    instance: ClassVar[str] = ""
 
     @property
     def scale_free(self) -> bool:

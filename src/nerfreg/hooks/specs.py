@@ -108,7 +108,7 @@ class HookSpecs:
         """Find out something about each pixel of the training views, before the first step.
 
         Called once; the time it takes is training time. The answers come back with the rays of
-        every step, gathered, as `rays.data["plugin.name"]`.
+        every step, gathered, as `rays.data["plugin.name"]`: `f"{self.instance}.{name}"`.
 
         Args:
             photographs: The training views, with the files they come from.

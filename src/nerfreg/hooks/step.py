@@ -55,8 +55,9 @@ class TableLevel(Protocol):
 class FieldView(Protocol):
     """The field as the present step sees it: to be evaluated, not to be changed.
 
-    Positions are in world units, (P, 3). All values have gradients by the weights, and by positions
-    and directions that require one.
+    Positions are in world units, (P, 3); outside of the scene's cube, where no ray is sampled, the
+    field means nothing. All values have gradients by the weights, and by positions and directions
+    that require one.
     """
 
     @property

@@ -31,6 +31,8 @@ class PluginCaller:
         self.plugins = dict(plugins or {})
         for name, plugin in self.plugins.items():
             _check(name, plugin, self.plugins)
+            # On the instance; the class does not know how often it is selected.
+            vars(plugin)["instance"] = name
         used = {name: plugin for name, plugin in self.plugins.items() if is_used(plugin)}
         self._scheduled = [plugin for plugin in used.values() if plugin.schedules]
         self._users = {
