@@ -37,10 +37,10 @@ class GridTV(Regularizer):
     def nerfreg_loss(self, rendering: Rendering, step: Step) -> dict[str, Tensor]:
         low, high = step.scene.box
         points = torch.lerp(low, high, torch.rand(self.points, 3, generator=step.generator))
-        places = step.scene.unit(points).to(rendering.depth.device)
-        levels = []
-        for level in step.field.tables:
-            vertices = (places * level.resolution).int().clamp(max=level.resolution - 1)
-            # The smallest positive root: the slope of the root of 0 is infinite.
-            levels.append(level.squared_differences(vertices).clamp_min(1e-12).sqrt().mean())
-        return {"grid_tv": torch.stack(levels).mean()} if levels else {}
+        places = step.scene.unit(points).to(rendering.depth.device).clamp(0, 1 - 1e-6)
+        squares = [
+            level.squared_differences((places * level.resolution).int())
+            for level in step.field.tables
+        ]
+        # Not the root of 0, whose slope is infinite.
+        return {"grid_tv": torch.cat(squares).clamp_min(1e-12).sqrt().mean()} if squares else {}
