@@ -14,7 +14,8 @@ from nerfreg.training.trainer import Trainer
 
 SCENE = (
     "scene.size=48", "scene.views=8", "scene.test_views=2", "train.rays=256", "train.steps=100",
-    "sampler.coarse=24", "sampler.fine=24", "field.levels=8", "field.finest=256",
+    "sampler.coarse=16", "sampler.fine=16", "sampler.skip_resolution=32", "field.levels=8",
+    "field.finest=256", "field.log2_entries=14",
 )  # fmt: skip
 pytestmark = pytest.mark.usefixtures("gallery")
 

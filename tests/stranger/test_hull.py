@@ -21,7 +21,13 @@ def empty(trainer: Trainer, positions: Tensor) -> Tensor:
 
 
 def test_keeps_all_surfaces_and_leaves_out_most_of_space(make) -> None:
-    trainer = make("+reg=hull", "scene.views=8", "scene.test_views=4", "scene.size=48")
+    trainer = make(
+        "+reg=hull",
+        "reg.hull.resolution=48",
+        "scene.views=8",
+        "scene.test_views=4",
+        "scene.size=48",
+    )
     scene = trainer.scene
     for view in (*scene.train, *scene.test):
         origins, directions = scene.cameras.image_rays(view)
@@ -41,7 +47,7 @@ def test_keeps_all_surfaces_and_leaves_out_most_of_space(make) -> None:
 
 def test_saves_evaluations_and_changes_nothing_inside(make) -> None:
     sizes = ("scene.views=8", "scene.size=48", "train.steps=3")
-    plain, carved = make(*sizes), make(*sizes, "+reg=hull")
+    plain, carved = make(*sizes), make(*sizes, "+reg=hull", "reg.hull.resolution=48")
     for trainer in (plain, carved):
         for _ in range(3):
             trainer.step()
@@ -57,8 +63,8 @@ def test_saves_evaluations_and_changes_nothing_inside(make) -> None:
 
 
 def test_hull_is_part_of_the_checkpoint(make) -> None:
-    trainer = make("+reg=hull", "scene.views=8", "scene.size=48")
-    fresh = make("+reg=hull", "scene.views=8", "scene.size=48")
+    trainer = make("+reg=hull", "reg.hull.resolution=48", "scene.views=8", "scene.size=48")
+    fresh = make("+reg=hull", "reg.hull.resolution=48", "scene.views=8", "scene.size=48")
     everything = torch.ones_like(fresh.field.plugins["hull"].occupied)
     fresh.field.plugins["hull"].occupied.copy_(everything)
     fresh.field.load_state_dict(trainer.field.state_dict())
@@ -72,4 +78,4 @@ def test_needs_silhouettes(make) -> None:
         return replace(scene, read_image=lambda view: read(view)[..., :3], has_alpha=False)
 
     with pytest.raises(NerfregError, match=r"reg\.hull: the photographs have no alpha channel"):
-        make("+reg=hull", change=opaque)
+        make("+reg=hull", "reg.hull.resolution=48", change=opaque)

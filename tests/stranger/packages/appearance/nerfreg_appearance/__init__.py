@@ -28,7 +28,7 @@ class Appearance(Regularizer):
     """
 
     features: int = 4
-    lr_scale: float = 1.0
+    lr_scale: float = 0.3
 
     cite: ClassVar[str] = BIBTEX
 
@@ -40,6 +40,8 @@ class Appearance(Regularizer):
     @hookimpl
     def nerfreg_module(self, scene_info):
         self._vectors = nn.Embedding(len(scene_info.cameras), self.features)
+        # All alike at first: the mean is then, and stays, among what the network has learned.
+        nn.init.zeros_(self._vectors.weight)
         return TrainedModule(self._vectors, lr_scale=self.lr_scale)
 
     @hookimpl

@@ -44,6 +44,8 @@ class FreeNeRF(Regularizer):
     duration: float = 0.5
 
     cite: ClassVar[str] = BIBTEX
+    # Weights of features that are masked are still random.
+    in_evaluation: ClassVar[tuple[str, ...]] = ("nerfreg_encoder_input",)
 
     @hookimpl
     def nerfreg_encoder(self, which):

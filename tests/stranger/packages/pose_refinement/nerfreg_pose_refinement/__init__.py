@@ -5,34 +5,35 @@ from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import torch
-from torch import nn
+from torch import Tensor, nn
 
 from nerfreg import Regularizer, Schedule, TrainedModule, hookimpl
 
-BIBTEX = """@inproceedings{lin2021barf,
-  title = {{BARF}: Bundle-Adjusting Neural Radiance Fields},
+BIBTEX = """@inproceedings{lin2021barf, title = {{BARF}: Bundle-Adjusting Neural Radiance Fields},
   author = {Lin, Chen-Hsuan and Ma, Wei-Chiu and Torralba, Antonio and Lucey, Simon},
   booktitle = {ICCV}, year = {2021}}"""
 
 
 class Corrections(nn.Module):
-    """A rotation vector and a shift, in half boxes, for each view but the first, which stays."""
+    """A rotation vector and a shift for each view, without what moves or scales all together."""
 
-    def __init__(self, views: int) -> None:
+    def __init__(self, outwards: Tensor) -> None:
         super().__init__()
-        self.values = nn.Parameter(torch.zeros(views - 1, 6))
+        self.values = nn.Parameter(torch.zeros(len(outwards), 6))
+        outwards = nn.functional.pad(nn.functional.normalize(outwards, dim=1), (0, 0, 0, 1))
+        self.register_buffer("outwards", outwards, False)
 
-    def forward(self):
-        # One by the number of the view: the first one and -1, all other cameras, stay.
-        turns, shifts = nn.functional.pad(self.values, (0, 0, 1, 1)).split(3, dim=1)
-        axes = torch.eye(3, device=turns.device).expand(len(turns), 3, 3)
-        cross = torch.linalg.cross(turns[:, :, None].expand_as(axes), axes, dim=1)
-        return torch.matrix_exp(cross), shifts
+    def forward(self) -> tuple[Tensor, Tensor]:
+        # A last row, where view -1 finds it: all other cameras stay.
+        values = nn.functional.pad(self.values - self.values.mean(dim=0), (0, 0, 0, 1))
+        turns, shifts = values.split(3, dim=1)
+        shifts = shifts - self.outwards * (self.outwards * shifts).sum() / len(self.values)
+        return torch.matrix_exp(torch.linalg.cross(torch.eye(3).to(turns), turns[:, None])), shifts
 
 
 @dataclass
 class PoseRefinement(Regularizer):
-    """Poses of all training views but the first are refined, coarse features first (BARF).
+    """Poses of training views are refined with the field, coarse features first (BARF).
 
     Attributes:
         weight: There is no loss; 0 switches it off, anything else has no effect.
@@ -41,19 +42,17 @@ class PoseRefinement(Regularizer):
     """
 
     lr_scale: float = 0.1
-    opening: float = 0.4
-    wait: float = 0.15
+    opening: float = 0.5
 
     cite: ClassVar[str] = BIBTEX
     in_evaluation: ClassVar[tuple[str, ...]] = ("nerfreg_rays",)
-    evaluation_note: ClassVar[str] = "Test poses are not aligned with the refined training poses."
+    evaluation_note: ClassVar[str] = "Test poses are not aligned with the refined ones."
 
     @hookimpl
     def nerfreg_module(self, scene_info):
-        self._corrections = Corrections(len(scene_info.cameras))
         self._center, self._unit = scene_info.center, scene_info.half_box
-        # Not before there is something to see: Adam makes full steps of the noise, too.
-        pace = Schedule("piecewise", points=((self.wait, 0.0), (self.wait + 0.1, 1.0), (1.0, 0.03)))
+        self._corrections = Corrections(scene_info.cameras.positions - self._center)
+        pace = Schedule("piecewise", points=((0.05, 0.0), (0.15, 1.0), (1.0, 0.03)))
         return TrainedModule(self._corrections, self.lr_scale, schedule=pace)
 
     @hookimpl(wrapper=True)
@@ -61,8 +60,7 @@ class PoseRefinement(Regularizer):
         rays = yield
         turns, shifts = self._corrections()
         center, turns, shifts = self._center.to(turns), turns[rays.view], shifts[rays.view]
-        # Around the scene's centre, which then stays in its place in the image: turns and shifts
-        # are nearly independent, and Adam treats each at its own scale.
+        # Around the centre, which stays in its place then: shifts and turns are independent.
         directions = (turns @ rays.directions[..., None])[..., 0]
         arms = (turns @ (rays.origins - center)[..., None])[..., 0]
         return replace(rays, origins=center + arms + self._unit * shifts, directions=directions)
