@@ -25,10 +25,10 @@ class Corrections(nn.Module):
 
     def forward(self) -> tuple[Tensor, Tensor]:
         # A last row, where view -1 finds it: all other cameras stay.
-        values = nn.functional.pad(self.values - self.values.mean(dim=0), (0, 0, 0, 1))
-        turns, shifts = values.split(3, dim=1)
+        turns, shifts = nn.functional.pad(self.values - self.values.mean(0), (0, 0, 0, 1)).split(3, 1)
         shifts = shifts - self.outwards * (self.outwards * shifts).sum() / len(self.values)
-        return torch.matrix_exp(torch.linalg.cross(torch.eye(3).to(turns), turns[:, None])), shifts
+        cross = torch.linalg.cross(torch.eye(3).to(turns)[None], turns[:, None])
+        return torch.matrix_exp(cross), shifts
 
 
 @dataclass
