@@ -19,13 +19,13 @@ class Corrections(nn.Module):
 
     def __init__(self, outwards: Tensor) -> None:
         super().__init__()
-        self.values = nn.Parameter(torch.zeros(len(outwards), 6))
-        outwards = nn.functional.pad(nn.functional.normalize(outwards, dim=1), (0, 0, 0, 1))
-        self.register_buffer("outwards", outwards, False)
+        self.values = nn.Parameter(torch.zeros(len(outwards) - 1, 6))
+        self.register_buffer("outwards", nn.functional.normalize(outwards, dim=1), False)
 
     def forward(self) -> tuple[Tensor, Tensor]:
         # A last row, where view -1 finds it: all other cameras stay.
-        turns, shifts = nn.functional.pad(self.values - self.values.mean(0), (0, 0, 0, 1)).split(3, 1)
+        own = self.values - self.values.mean(dim=0)
+        turns, shifts = nn.functional.pad(own, (0, 0, 0, 1)).split(3, dim=1)
         shifts = shifts - self.outwards * (self.outwards * shifts).sum() / len(self.values)
         cross = torch.linalg.cross(torch.eye(3).to(turns)[None], turns[:, None])
         return torch.matrix_exp(cross), shifts
@@ -37,7 +37,7 @@ class PoseRefinement(Regularizer):
 
     Attributes:
         weight: There is no loss; 0 switches it off, anything else has no effect.
-        lr_scale: Factor of the learning rate for poses, in radians and half boxes.
+        lr_scale: Factor of the learning rate, in radians around the box's centre and half boxes.
         opening: Share of the budget after which the field has all features.
     """
 
@@ -51,7 +51,8 @@ class PoseRefinement(Regularizer):
     @hookimpl
     def nerfreg_module(self, scene_info):
         self._center, self._unit = scene_info.center, scene_info.half_box
-        self._corrections = Corrections(scene_info.cameras.positions - self._center)
+        outwards = scene_info.cameras.positions - self._center
+        self._corrections = Corrections(nn.functional.pad(outwards, (0, 0, 0, 1)))
         pace = Schedule("piecewise", points=((0.05, 0.0), (0.15, 1.0), (1.0, 0.03)))
         return TrainedModule(self._corrections, self.lr_scale, schedule=pace)
 
@@ -60,7 +61,6 @@ class PoseRefinement(Regularizer):
         rays = yield
         turns, shifts = self._corrections()
         center, turns, shifts = self._center.to(turns), turns[rays.view], shifts[rays.view]
-        # Around the centre, which stays in its place then: shifts and turns are independent.
         directions = (turns @ rays.directions[..., None])[..., 0]
         arms = (turns @ (rays.origins - center)[..., None])[..., 0]
         return replace(rays, origins=center + arms + self._unit * shifts, directions=directions)
