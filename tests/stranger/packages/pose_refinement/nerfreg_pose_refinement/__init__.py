@@ -59,8 +59,8 @@ class PoseRefinement(Regularizer):
     @hookimpl(wrapper=True)
     def nerfreg_rays(self):
         rays = yield
-        turns, shifts = self._corrections()
-        center, turns, shifts = self._center.to(turns), turns[rays.view], shifts[rays.view]
+        turns, shifts = (part.to(rays.origins)[rays.view] for part in self._corrections())
+        center = self._center.to(turns)
         directions = (turns @ rays.directions[..., None])[..., 0]
         arms = (turns @ (rays.origins - center)[..., None])[..., 0]
         return replace(rays, origins=center + arms + self._unit * shifts, directions=directions)
