@@ -253,7 +253,7 @@ class Driver:
 
         def color(ray: Tensor, sample: Tensor) -> Tensor:
             more = self._color_input(rays, after.t, (ray, sample), step)
-            geometry = raw.view(*shape, -1)[ray, sample]
+            geometry = raw[:, 1:].view(*shape, -1)[ray, sample]
             return field.color_of(geometry, directions[ray, sample], more)
 
         return field.activate(raw[:, 0]).view(shape), raw[:, 0].view(shape), color
