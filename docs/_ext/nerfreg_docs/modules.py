@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import pkgutil
 from importlib import import_module
 
@@ -20,6 +21,28 @@ def names_of_package(package: str) -> str:
         link = f"{{py:class}}`{name} <{home}.{name}>`" if documented else f"`{name}`"
         rows.append([link, plain(summary(thing)) if documented else ""])
     return table(["name", "meaning"], rows)
+
+
+def names_in_full(package: str) -> str:
+    """What the docstring of a package promises, and the docstring of each name that it exports."""
+    module = import_module(package)
+    parts = [inspect.cleandoc(module.__doc__ or "").partition("\n\n")[2], names_of_package(package)]
+    for name in sorted(module.__all__, key=str.lower):
+        thing = getattr(module, name)
+        home = getattr(thing, "__module__", "")
+        parts += [f"## `{package}.{name}`", _documented(name, thing, home)]
+    return "\n\n".join(parts)
+
+
+def _documented(name: str, thing: object, home: str) -> str:
+    """A whole docstring; an index entry is made where the module of the name is described."""
+    if isinstance(thing, type):
+        options = ":members:\n   :member-order: bysource\n   :no-index:"
+        return f"```{{eval-rst}}\n.. autoclass:: {home}.{name}\n   {options}\n```"
+    if inspect.isfunction(thing):
+        return f"```{{eval-rst}}\n.. autofunction:: {home}.{name}\n   :no-index:\n```"
+    # An object, whose docstring is that of its class in another project.
+    return f"An instance of `{type(thing).__module__}.{type(thing).__name__}`."
 
 
 def modules(package: str) -> str:
