@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from functools import cache
 from types import FrameType
-from typing import Any
+from typing import Any, TypeVar
 
 import pluggy
 from torch import nn
@@ -14,6 +14,8 @@ from nerfreg.errors import NerfregError, PluginError
 from nerfreg.hooks import ALWAYS_IN_EVALUATION, PROJECT, HookSpecs, Regularizer, Step
 from nerfreg.registry.defaults import CoreDefaults
 from nerfreg.registry.plugins import HOOKS, conflicts_of, implemented, is_used, origin
+
+T = TypeVar("T")
 
 
 class PluginCaller:
@@ -110,6 +112,21 @@ class PluginCaller:
             raise self._error(
                 hook, plugins, given.get("step"), "returned None; return what it specifies"
             )
+        return answer
+
+    def _ask_for(
+        self, kind: type[T], hook: str, plugins: tuple[str, ...], given: dict[str, Any]
+    ) -> T:
+        """Call a hook that has a single result, of this type.
+
+        Raises:
+            PluginError: The answer is of another type.
+        """
+        answer = self._ask(hook, plugins, given)
+        if not isinstance(answer, kind):
+            name = "near and far" if kind is tuple else kind.__name__
+            wrong = f"returned {type(answer).__name__}; return {name}"
+            raise self._error(hook, plugins, given.get("step"), wrong)
         return answer
 
     def _tell(self, hook: str, plugins: tuple[str, ...], step: Step) -> None:

@@ -70,7 +70,9 @@ class PreparingHooks(PluginCaller):
             for depth in self._ask("nerfreg_known_depth", (name,), {"photographs": photographs}):
                 shape = (*photographs.images.shape[:3], 2)
                 wrong = ""
-                if tuple(depth.shape) != shape:
+                if not isinstance(depth, Tensor):
+                    wrong = f"returned {type(depth).__name__}; return a tensor {shape}"
+                elif tuple(depth.shape) != shape:
                     wrong = f"has shape {tuple(depth.shape)}, not {shape}"
                 elif bool((depth[..., 0] > depth[..., 1]).any()):
                     wrong = "some intervals end before they begin"
@@ -80,10 +82,17 @@ class PreparingHooks(PluginCaller):
         return known
 
     def needs(self, step: Step) -> Needs:
-        """Return the union of what the active plugins want rendered."""
+        """Return the union of what the active plugins want rendered.
+
+        Raises:
+            PluginError: An answer is something else.
+        """
         union = Needs()
         for name in self._active("nerfreg_needs", step):
             for needs in self._ask("nerfreg_needs", (name,), {"step": step}):
+                if not isinstance(needs, Needs):
+                    wrong = f"returned {type(needs).__name__}; return Needs"
+                    raise self._error("nerfreg_needs", (name,), step, wrong)
                 union |= needs
         return union
 
