@@ -143,7 +143,7 @@ MISTAKES = (
     ),
     Mistake(
         "A term is in double precision",
-        "running",
+        CHECKED,
         "@hookimpl\ndef nerfreg_loss(self, rendering):\n"
         "    return {'thin': rendering.opacity.double().mean()}\n",
     ),
@@ -157,7 +157,7 @@ MISTAKES = (
         "What was asked for is not there in every step",
         "running",
         "@hookimpl\ndef nerfreg_loss(self, rendering):\n"
-        "    return {'rough': rendering.depth[rendering.rays.patches].diff().abs().mean()}\n",
+        "    return {'rough': rendering.rays.patches.float().mean()}\n",
     ),
     Mistake(
         "`nerfreg_prepare` returns another shape",
@@ -197,7 +197,7 @@ MISTAKES = (
         "The rendering is changed in place",
         CHECKED,
         "@hookimpl\ndef nerfreg_loss(self, rendering):\n"
-        "    rendering.rgb.data.clamp_(0.1, 0.9)\n    return {'thin': rendering.opacity.mean()}\n",
+        "    rendering.depth.data.div_(2.0)\n    return {'thin': rendering.opacity.mean()}\n",
     ),
     Mistake(
         "What belongs to a step stays in force",
