@@ -78,6 +78,12 @@ def test_files_have_names_of_their_own() -> None:
     assert len(set(names)) == len(names) > 20
 
 
+def test_every_block_of_python_is_a_plugin_that_is_tested() -> None:
+    for page in PAGES:
+        text = (DOCS / "howto" / f"{page}.md").read_text(encoding="utf-8")
+        assert text.count("```python") == len(plugins_of(page)), page
+
+
 def test_every_hook_is_shown() -> None:
     shown = {
         hook

@@ -9,6 +9,12 @@ from importlib import import_module
 from nerfreg_docs.docstrings import summary
 from nerfreg_docs.markdown import plain, table
 
+OBJECTS = {
+    "hookimpl": "Decorator of the methods that implement a hook: `@hookimpl`, or "
+    "`@hookimpl(wrapper=True)` for a wrapper."
+}
+"""The meaning of objects, whose docstrings are those of their classes in other projects."""
+
 
 def names_of_package(package: str) -> str:
     """A table of what a package exports, each name linked to where it is defined."""
@@ -16,10 +22,9 @@ def names_of_package(package: str) -> str:
     rows = []
     for name in module.__all__:
         thing = getattr(module, name)
-        home = getattr(thing, "__module__", "")
-        documented = home.startswith(package) and isinstance(thing, type)
-        link = f"{{py:class}}`{name} <{home}.{name}>`" if documented else f"`{name}`"
-        rows.append([link, plain(summary(thing)) if documented else ""])
+        role = "class" if isinstance(thing, type) else "func" if inspect.isfunction(thing) else ""
+        link = f"{{py:{role}}}`{name} <{thing.__module__}.{name}>`" if role else f"`{name}`"
+        rows.append([link, plain(summary(thing) if role else OBJECTS.get(name, ""))])
     return table(["name", "meaning"], rows)
 
 
@@ -41,8 +46,7 @@ def _documented(name: str, thing: object, home: str) -> str:
         return f"```{{eval-rst}}\n.. autoclass:: {home}.{name}\n   {options}\n```"
     if inspect.isfunction(thing):
         return f"```{{eval-rst}}\n.. autofunction:: {home}.{name}\n   :no-index:\n```"
-    # An object, whose docstring is that of its class in another project.
-    return f"An instance of `{type(thing).__module__}.{type(thing).__name__}`."
+    return plain(OBJECTS.get(name, ""))
 
 
 def modules(package: str) -> str:
