@@ -332,3 +332,16 @@ def test_an_answer_of_another_kind_is_told(
     hooks = answering(f"nerfreg_{hook}", answer)
     with pytest.raises(PluginError, match=rf"nerfreg_{hook} at step 7: {message}"):
         getattr(hooks, hook)(*arguments, step(7))
+
+
+def test_an_edit_that_spoils_the_backward_pass_is_blamed_on_the_plugins(step) -> None:
+    x = torch.ones(2, requires_grad=True)
+    kept = torch.ones(2)
+    product = (x * kept).sum()
+    kept.mul_(0.5)
+    with pytest.raises(RuntimeError) as caught:
+        product.backward()
+    told = Hooks({"mine": Constant()}).blamed(caught.value, step(3))
+    assert isinstance(told, PluginError)
+    assert "mine" in str(told) and "backward pass at step 3: a tensor" in str(told)
+    assert Hooks().blamed(caught.value, step(3)) is caught.value

@@ -16,6 +16,8 @@ from nerfreg.registry.defaults import CoreDefaults
 from nerfreg.registry.plugins import HOOKS, conflicts_of, implemented, is_used, origin
 
 T = TypeVar("T")
+EDITED = "modified by an inplace operation"
+"""What torch says when a tensor of a graph is no longer what it was."""
 
 
 class PluginCaller:
@@ -55,7 +57,8 @@ class PluginCaller:
     def blamed(self, error: Exception, step: Step | None) -> Exception:
         """Return what to raise in place of an error that came up outside of a hook.
 
-        It is a `PluginError` if a layer or module of a plugin raised it, else the error itself.
+        It is a `PluginError` if a layer or module of a plugin raised it, or if a tensor was edited
+        that the backward pass needs, which nobody else does. Otherwise it is the error itself.
         """
         if isinstance(error, NerfregError):
             return error
@@ -64,6 +67,12 @@ class PluginCaller:
             if isinstance(owner, nn.Module) and (name := self.owner(type(owner))):
                 what = f"{type(owner).__name__}.{frame.f_code.co_name}"
                 return self._error(what, (name,), step, _in_words(error))
+        if self.plugins and EDITED in str(error):
+            wrong = (
+                "a tensor that the gradient needs was edited in place; make a new one, and "
+                "change buffers in nerfreg_step_end (train.check=true finds edits of what hooks get)"
+            )
+            return self._error("backward pass", tuple(self.plugins), step, wrong)
         return error
 
     def owner(self, cls: type) -> str | None:
