@@ -194,6 +194,15 @@ MISTAKES = (
         "@hookimpl\ndef nerfreg_color_input(self, samples):\n    return samples.positions\n",
     ),
     Mistake(
+        "A buffer is updated before the gradient is known",
+        "running",
+        "@hookimpl\ndef nerfreg_module(self):\n    self._kept = nn.Module()\n"
+        "    self._kept.register_buffer('scale', torch.ones(()))\n    return self._kept\n"
+        "@hookimpl\ndef nerfreg_loss(self, rendering):\n"
+        "    loss = (self._kept.scale * rendering.opacity).mean()\n"
+        "    self._kept.scale.mul_(0.9)\n    return {'thin': loss}\n",
+    ),
+    Mistake(
         "The rendering is changed in place",
         CHECKED,
         "@hookimpl\ndef nerfreg_loss(self, rendering):\n"
