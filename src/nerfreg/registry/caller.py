@@ -70,7 +70,7 @@ class PluginCaller:
         if self.plugins and EDITED in str(error):
             wrong = (
                 "a tensor that the gradient needs was edited in place; make a new one, and "
-                "change buffers in nerfreg_step_end (train.check=true finds edits of what hooks get)"
+                "change buffers in nerfreg_step_end (train.check=true finds edits of hooks' inputs)"
             )
             return self._error("backward pass", tuple(self.plugins), step, wrong)
         return error
