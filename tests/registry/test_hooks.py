@@ -345,3 +345,23 @@ def test_an_edit_that_spoils_the_backward_pass_is_blamed_on_the_plugins(step) ->
     assert isinstance(told, PluginError)
     assert "mine" in str(told) and "backward pass at step 3: a tensor" in str(told)
     assert Hooks().blamed(caught.value, step(3)) is caught.value
+
+
+@pytest.mark.parametrize(
+    ("hook", "answer", "message"),
+    [
+        ("prepare", torch.zeros(3, 4, 2), "returned Tensor; return a dictionary of tensors"),
+        (
+            "prepare",
+            {"grey": torch.zeros(3, 4)},
+            r"'grey' has shape \(3, 4\); return a tensor of shape \(3, 4, 2, ...\)",
+        ),
+        ("prepare", {"grey": 1.0}, "'grey' is of type float; return a tensor of shape"),
+        ("known_depth", 2.0, r"returned float; return a tensor \(3, 4, 2, 2\)"),
+    ],
+)
+def test_what_is_prepared_in_another_shape_is_told(
+    hook: str, answer: object, message: str, photographs
+) -> None:
+    with pytest.raises(PluginError, match=message):
+        getattr(answering(f"nerfreg_{hook}", answer), hook)(photographs)

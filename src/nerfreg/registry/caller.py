@@ -119,7 +119,10 @@ class PluginCaller:
             raise self._error(hook, names, given.get("step"), _in_words(error)) from error
         if answer is None and hook != "nerfreg_encoder":
             raise self._error(
-                hook, plugins, given.get("step"), "returned None; return what it specifies"
+                hook,
+                plugins,
+                given.get("step"),
+                "returned None; return the answer, as it came or changed",
             )
         return answer
 

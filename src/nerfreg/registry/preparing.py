@@ -35,19 +35,19 @@ class PreparingHooks(PluginCaller):
         size = tuple(photographs.images.shape[:3])
         for plugin in self._users["nerfreg_prepare"]:
             for answer in self._ask("nerfreg_prepare", (plugin,), {"photographs": photographs}):
+                if not isinstance(answer, dict):
+                    wrong = f"returned {type(answer).__name__}; return a dictionary of tensors"
+                    raise self._error("nerfreg_prepare", (plugin,), None, wrong)
                 for name, values in answer.items():
                     if not isinstance(values, Tensor) or tuple(values.shape[:3]) != size:
                         found = (
-                            f"shape {tuple(values.shape)}"
+                            f"has shape {tuple(values.shape)}"
                             if isinstance(values, Tensor)
-                            else type(values).__name__
+                            else f"is of type {type(values).__name__}"
                         )
-                        raise self._error(
-                            "nerfreg_prepare",
-                            (plugin,),
-                            None,
-                            f"'{name}' is {found}; return a tensor of {size} and more axes",
-                        )
+                        axes = ", ".join(map(str, size))
+                        wrong = f"'{name}' {found}; return a tensor of shape ({axes}, ...)"
+                        raise self._error("nerfreg_prepare", (plugin,), None, wrong)
                     data[f"{plugin}.{name}"] = values
         return data
 
