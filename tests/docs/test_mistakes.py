@@ -307,7 +307,7 @@ def test_every_mistake_has_a_row() -> None:
 
 
 @pytest.mark.parametrize(
-    ("number", "mistake"), enumerate(MISTAKES), ids=[mistake.what for mistake in MISTAKES]
+    ("number", "mistake"), [*enumerate(MISTAKES)], ids=[mistake.what for mistake in MISTAKES]
 )
 def test_message_is_that_of_the_page(number: int, mistake: Mistake, tmp_path: Path) -> None:
     told, code = message(mistake, tmp_path)
