@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass, replace
+from typing import ClassVar
+
 import pytest
 import torch
 
+from nerfreg import Regularizer, hookimpl
 from nerfreg.field import FieldConfig, RadianceField
 from nerfreg.field.layers import Linear
+from nerfreg.registry import Hooks
 from nerfreg.rendering.config import SamplerConfig
 from nerfreg.rendering.occupancy import occupied_by
 from nerfreg.rendering.views import ViewRenderer
@@ -21,9 +26,11 @@ class Ball(RadianceField):
             FieldConfig(levels=1, base=2, finest=2, log2_entries=6, hidden=4), box, make_layer
         )
         self.evaluated = 0
+        self.active: set[tuple[str, float | None]] = set()
 
     def raw_density(self, positions: torch.Tensor, active: float | None = None) -> torch.Tensor:
         self.evaluated += len(positions)
+        self.active.add(("density", active))
         inside = (positions - torch.tensor([0.3, 0.0, 0.0])).norm(dim=-1) < 0.5
         raw = torch.zeros(len(positions), 16)
         raw[:, 0] = torch.where(inside, 8.0, -20.0)
@@ -36,6 +43,7 @@ class Ball(RadianceField):
         active: float | None = None,
         more: torch.Tensor | None = None,
     ) -> torch.Tensor:
+        self.active.add(("color", active))
         return torch.tensor([1.0, 0.0, 0.0]).expand(len(raw), 3)
 
 
@@ -89,6 +97,34 @@ def test_the_ball_is_seen_where_the_camera_projects_it() -> None:
     column, row = expected.floor().long().tolist()
     assert abs(float(view.depth[row, column] - distance)) < 0.05
     assert torch.equal(view.rgb[0, 0], torch.ones(3)) and view.opacity[0, 0] < 1e-6
+
+
+@dataclass
+class Moved(Regularizer):
+    """What is at (0.3, 0, 0) is seen at (0, 0, 0), by some of the features."""
+
+    in_evaluation: ClassVar[tuple[str, ...]] = ("nerfreg_encoder_input",)
+
+    @hookimpl(wrapper=True)
+    def nerfreg_encoder_input(self):
+        samples = yield
+        moved = samples.positions + torch.tensor([0.3, 0.0, 0.0])
+        return replace(samples, positions=moved, density_features=1.0, color_features=5.0)
+
+
+def test_encoders_see_what_a_plugin_makes_of_the_samples_if_it_asks_for_it(step) -> None:
+    there = scene()
+    field = Ball(there.box)
+    evaluation = replace(step(index=50), training=False)
+    renderer = ViewRenderer(
+        field, SamplerConfig(64, 128), there, Hooks({"moved": Moved()}), evaluation
+    )
+    view = renderer.view(there.cameras, there.test[0])
+    assert field.active == {("density", 1.0), ("color", 5.0)}
+    y, x = (view.opacity > 0.5).nonzero(as_tuple=True)
+    center = torch.stack([x.float().mean(), y.float().mean()]) + 0.5
+    expected = there.cameras.project(torch.zeros(1, 3), there.test[0])[0]
+    assert (center - expected).norm() < 1.0
 
 
 def test_a_strided_image_holds_every_nth_pixel() -> None:

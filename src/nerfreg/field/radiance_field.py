@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from torch import Tensor, nn
 
 from nerfreg.field.config import FieldConfig
@@ -185,6 +185,24 @@ class RadianceField(nn.Module):
             return spherical_harmonics(directions)
         encoded: Tensor = self.direction_encoder(directions.reshape(-1, 3))
         return encoded.view(*directions.shape[:-1], self.direction_width)
+
+    def encode_along(
+        self,
+        directions: Float[Tensor, "rays 3"] | Float[Tensor, "rays samples 3"],
+        ray: Int[Tensor, " picked"],
+        sample: Int[Tensor, " picked"],
+    ) -> Float[Tensor, "picked width"]:
+        """Encode the directions of some samples.
+
+        Args:
+            directions: (R, 3) of rays, or (R, N, 3) of their samples.
+            ray: (K,) index of the ray.
+            sample: (K,) index of the sample on it.
+        """
+        if directions.dim() == 2:
+            # Computed once per ray and copied to its samples.
+            return self.encode_directions(directions).index_select(0, ray)
+        return self.encode_directions(directions[ray, sample])
 
     def raw_density(
         self,

@@ -53,8 +53,8 @@ class Regularizer:
       package that has one.
     - `schedulable` names numeric fields, besides `weight`, that may be given a schedule; the core
       sets them before each step.
-    - `in_evaluation` names those of `nerfreg_rays`, `nerfreg_density` and `nerfreg_rendering` that
-      are to be called in evaluation, too.
+    - `in_evaluation` names those of `nerfreg_rays`, `nerfreg_encoder_input`, `nerfreg_density` and
+      `nerfreg_rendering` that are to be called in evaluation, too.
     - `evaluation_note` is a sentence that stands beside the scores of a run with this plugin.
     - `hook_versions` is the first and the last version of the hook specifications for which the
       plugin was written (`nerfreg.hooks.HOOKS_VERSION`).

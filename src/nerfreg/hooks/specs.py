@@ -17,9 +17,9 @@ An implementation may leave out the arguments that it does not use.
 
 Hooks that take a step are called while the plugin's weight is not 0 and its window is open. In
 evaluation, when views are rendered, only these are called, with `step.training` False:
-`nerfreg_empty` and `nerfreg_color_input` always, and `nerfreg_rays`, `nerfreg_density` and
-`nerfreg_rendering` of plugins that list them in `in_evaluation`. They may be called from several
-threads at once there.
+`nerfreg_empty` and `nerfreg_color_input` always, and `nerfreg_rays`, `nerfreg_encoder_input`,
+`nerfreg_density` and `nerfreg_rendering` of plugins that list them in `in_evaluation`. They may be
+called from several threads at once there.
 """
 
 from __future__ import annotations
@@ -46,7 +46,12 @@ ALWAYS_IN_EVALUATION = ("nerfreg_empty", "nerfreg_color_input")
 """Hooks that are called in evaluation whatever the plugin says: without them, the field would be
 read where it was never trained, or its colour network would lack inputs."""
 
-IN_EVALUATION_IF_ASKED = ("nerfreg_rays", "nerfreg_density", "nerfreg_rendering")
+IN_EVALUATION_IF_ASKED = (
+    "nerfreg_rays",
+    "nerfreg_encoder_input",
+    "nerfreg_density",
+    "nerfreg_rendering",
+)
 """Hooks that are called in evaluation for plugins that name them in `Regularizer.in_evaluation`."""
 
 
@@ -228,10 +233,14 @@ class HookSpecs:
         """Change what the encoders see: positions, directions, or how many features are alive.
 
         Called for every evaluation of the field in training. The core returns `samples`. Positions
-        and directions that require a gradient get one.
+        and directions that require a gradient get one. Called in evaluation if the plugin asks for
+        it, as it must if it moves positions by what it has learned, or if a field that is evaluated
+        during a run would be read where it has not been trained yet: the weights behind silenced
+        features of an encoder of its own are those that the network began with.
 
         Args:
-            samples: What the encoders would see.
+            samples: What the encoders would see. Where the density alone is asked for, at points
+                that lie on no ray, `t` is 0 and the directions mean nothing.
             step: Where the run stands.
         """
 

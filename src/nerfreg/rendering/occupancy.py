@@ -25,9 +25,15 @@ CHUNK = 2**18
 IsEmpty = Callable[[Tensor], Tensor]
 """Returns which positions (P, 3) are declared empty, (P,)."""
 
+Seen = Callable[[Tensor], tuple[Tensor, float | None]]
+"""Returns what the encoder sees in place of positions (P, 3), and how many features are alive."""
+
 
 def occupied_by(
-    field: RadianceField, resolution: int, empty: IsEmpty | None = None
+    field: RadianceField,
+    resolution: int,
+    empty: IsEmpty | None = None,
+    seen: Seen | None = None,
 ) -> OccupancyGrid:
     """Find the cells of the cube around the scene's box in which the field has density.
 
@@ -39,8 +45,9 @@ def occupied_by(
         field: The trained field.
         resolution: Cells per side.
         empty: Tells which positions have no density whatever the field says; None: none of them.
+        seen: Tells what the encoder sees; None: the positions as they are.
     """
-    thickness = _thickness(field, resolution, empty)
+    thickness = _thickness(field, resolution, empty, seen)
     # One sample may miss what a cell contains, so that a neighbour's sample counts as well.
     occupied = _dilate(thickness > EMPTY_THICKNESS)
     # The field covers a cube around the box, and so does the grid.
@@ -48,7 +55,9 @@ def occupied_by(
 
 
 @torch.no_grad()
-def _thickness(field: RadianceField, n: int, empty: IsEmpty | None) -> Float[Tensor, "x y z"]:
+def _thickness(
+    field: RadianceField, n: int, empty: IsEmpty | None, seen: Seen | None
+) -> Float[Tensor, "x y z"]:
     low, cell, device = field.center - field.half_box, 2 * field.half_box / n, field.center.device
     # A generator of its own: a view must neither vary between calls nor advance the RNG of a run
     # that is evaluated while it trains.
@@ -59,7 +68,8 @@ def _thickness(field: RadianceField, n: int, empty: IsEmpty | None) -> Float[Ten
         corner = torch.stack([cells // n**2, cells // n % n, cells % n], dim=1)
         inside = torch.rand(corner.shape, generator=generator).to(device)
         positions = low + (corner + inside) * cell
-        found = field.density(field.raw_density(positions)) * cell
+        given = (positions, None) if seen is None else seen(positions)
+        found = field.density(field.raw_density(*given)) * cell
         thickness[cells] = found if empty is None else found.masked_fill(empty(positions), 0)
     return thickness.view(n, n, n)
 

@@ -52,6 +52,7 @@ class EvaluationHooks:
 
     rays: Callable[[Rays], Rays] | None = None
     empty: Callable[[Tensor], Tensor] | None = None
+    encoder_input: Callable[[Samples], Samples] | None = None
     density: Callable[[DensitySamples], Tensor] | None = None
     color_input: Callable[[ColorSamples], Tensor | None] | None = None
     rendering: Callable[[Rendering], Rendering] | None = None
@@ -76,6 +77,7 @@ class EvaluationHooks:
         calls: dict[str, Any] = {
             "rays": hooks.rays,
             "empty": empty,
+            "encoder_input": hooks.encoder_input,
             "density": hooks.density,
             "color_input": hooks.color_input,
             "rendering": hooks.rendering,

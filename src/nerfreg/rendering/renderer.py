@@ -198,7 +198,7 @@ class Renderer:
         asked = self.hooks.changes("nerfreg_color_input", step)
 
         def color(ray: Tensor, sample: Tensor) -> Float[Tensor, "colored 3"]:
-            encoded = self._encoded_directions(directions, ray, sample)
+            encoded = self.field.encode_along(directions, ray, sample)
             more = (
                 self.hooks.color_input(ColorSamples(rays, ray, t[ray, sample]), step)
                 if asked
@@ -209,12 +209,6 @@ class Renderer:
             )
 
         return color
-
-    def _encoded_directions(self, directions: Tensor, ray: Tensor, sample: Tensor) -> Tensor:
-        if directions.dim() == 2:
-            # Computed once per ray and copied to its samples.
-            return self.field.encode_directions(directions).index_select(0, ray)
-        return self.field.encode_directions(directions[ray, sample])
 
 
 def _merged_directions(coarse: Samples, fine: Samples, order: Tensor) -> Tensor:

@@ -19,7 +19,7 @@ from torch.nn import functional
 
 from nerfreg.field.radiance_field import RadianceField
 from nerfreg.field.workers import in_shares
-from nerfreg.hooks import ColorSamples, DensitySamples, Rays, Step
+from nerfreg.hooks import ColorSamples, DensitySamples, Rays, Samples, Step
 from nerfreg.rendering.blocks import RayBlocks, pixel_blocks
 from nerfreg.rendering.compositing import assemble, integrate
 from nerfreg.rendering.config import SamplerConfig
@@ -87,7 +87,12 @@ class ViewRenderer:
         self.scene = scene
         # Which hooks take part is found out once, and costs nothing in each chunk of rays.
         self._hooks = EvaluationHooks.of(hooks, step)
-        self.occupancy = occupied_by(field, sampler.skip_resolution, self._hooks.empty)
+        self.occupancy = occupied_by(
+            field,
+            sampler.skip_resolution,
+            self._hooks.empty,
+            None if self._hooks.encoder_input is None else self._seen_at,
+        )
         self.background = torch.zeros(3) if scene.background is None else scene.background
         # Lists of counts, because threads append to them at the same time: `append` is atomic,
         # while `+=` on a number may lose an addition.
@@ -162,7 +167,8 @@ class ViewRenderer:
             pixel=flat + 0.5,
         )
         if self._hooks.rays is not None:
-            rays = self._hooks.rays(rays)
+            # Where the plugin's parameters are; all else is found on the CPU.
+            rays = self._hooks.rays(rays.to(self.field.center.device)).to(torch.device("cpu"))
             near, far = self.scene.info.clipped(rays.origins, rays.directions)
             rays = replace(rays, near=near, far=far)
         assert rays.pixel is not None
@@ -201,7 +207,9 @@ class ViewRenderer:
                 t = stratified(near, far, samples, self.sampler.spacing)
                 middle = functional.normalize(block.directions.mean(dim=1), dim=-1)
                 positions = block.origins.mean(dim=1)[:, None] + middle[:, None] * t[..., None]
-                density = self._density(positions, torch.ones_like(t, dtype=torch.bool))[0]
+                encoded = self._encode(positions, middle, t)
+                everywhere = torch.ones_like(t, dtype=torch.bool)
+                density = self._density(positions, encoded, everywhere)[0]
                 edges[chunk] = edges_between(t, near, far)
                 found = integrate(density, edges[chunk])
                 weights[chunk] = found.weights
@@ -225,7 +233,8 @@ class ViewRenderer:
         positions = rays.origins.flatten(0, 1)[:, None] + directions[:, None] * t[..., None]
         lit = (light > DARK)[:, None].expand(-1, pixels, -1).reshape(t.shape)
         # Intervals that clamping has emptied contribute nothing and are not evaluated.
-        density, raw, places = self._density(positions, lit & (own.diff(dim=1) > 0))
+        samples = self._encode(positions, directions, t)
+        density, raw, places = self._density(positions, samples, lit & (own.diff(dim=1) > 0))
         flat = rays.flat(self.background)
         if self._hooks.density is not None:
             density = self._hooks.density(
@@ -234,10 +243,11 @@ class ViewRenderer:
 
         def color(ray: Tensor, sample: Tensor) -> Float[Tensor, "colored 3"]:
             self._colors.append(len(ray))
-            encoded = self.field.encode_directions(directions).index_select(0, ray)
+            encoded = self.field.encode_along(samples.directions, ray, sample)
             asked = self._hooks.color_input
             more = None if asked is None else asked(ColorSamples(flat, ray, t[ray, sample]))
-            return self.field.color(raw.index_select(0, places[ray, sample]), encoded, more=more)
+            picked = raw.index_select(0, places[ray, sample])
+            return self.field.color(picked, encoded, samples.color_features, more)
 
         made = assemble(flat, t, own, density, color)
         if self._hooks.rendering is not None:
@@ -245,12 +255,44 @@ class ViewRenderer:
         values = torch.cat([made.rgb, made.depth[:, None], made.opacity[:, None]], dim=1)
         return values.view(blocks, pixels, 5)
 
+    def _encode(
+        self,
+        positions: Float[Tensor, "rays samples 3"],
+        directions: Float[Tensor, "rays 3"],
+        t: Float[Tensor, "rays samples"],
+    ) -> Samples:
+        """Return what the encoders see of samples."""
+        samples = Samples(
+            positions,
+            directions,
+            t,
+            density_width=self.field.density_width,
+            color_width=self.field.direction_width,
+        )
+        return samples if self._hooks.encoder_input is None else self._hooks.encoder_input(samples)
+
+    def _seen_at(
+        self, positions: Float[Tensor, "points 3"]
+    ) -> tuple[Float[Tensor, "points 3"], float | None]:
+        """Return what the encoder sees of points on no ray, and how many features are alive."""
+        ahead = positions.new_tensor([0.0, 0.0, 1.0]).expand(len(positions), 3)
+        samples = self._encode(positions[:, None], ahead, positions.new_zeros(len(positions), 1))
+        return samples.positions[:, 0], samples.density_features
+
     def _density(
-        self, positions: Float[Tensor, "rays samples 3"], wanted: Bool[Tensor, "rays samples"]
+        self,
+        positions: Float[Tensor, "rays samples 3"],
+        samples: Samples,
+        wanted: Bool[Tensor, "rays samples"],
     ) -> tuple[
         Float[Tensor, "rays samples"], Float[Tensor, "evaluated out"], Int[Tensor, "rays samples"]
     ]:
         """Evaluate the density where it is wanted and not known to be 0.
+
+        Args:
+            positions: (R, N, 3) in world units.
+            samples: What the encoders see of them.
+            wanted: (R, N) where the density is wanted.
 
         Returns:
             (R, N) the density, 0 elsewhere; (K, 1 + geometry) the outputs of the density network;
@@ -261,7 +303,8 @@ class ViewRenderer:
         if self._hooks.empty is not None:
             seen = seen[~self._hooks.empty(flat.index_select(0, seen))]
         self._points.append(len(seen))
-        raw = self.field.raw_density(flat.index_select(0, seen))
+        inputs = samples.positions.reshape(-1, 3).index_select(0, seen)
+        raw = self.field.raw_density(inputs, samples.density_features)
         density = raw.new_zeros(len(flat)).index_copy(0, seen, self.field.density(raw))
         # Row 0 where nothing was evaluated is never read: the density is 0 there, and so is the
         # weight, which gives the sample no colour.
