@@ -45,7 +45,7 @@ SMALL = (
     "sampler.skip_resolution=8", "train.rays=32", "train.steps=3", "train.quiet=true",
     "train.threads=1", "eval.lpips=false", "eval.count=1",
 )  # fmt: skip
-CHECKED = "checked"
+CHECKED, CHECK = "checked", "check"
 
 
 @dataclass(frozen=True)
@@ -55,12 +55,14 @@ class Mistake:
     Attributes:
         what: The mistake, in words.
         found: What finds it, as the page calls it.
-        body: Of the class `Mine`; a whole class if it begins with a decorator or `class`.
+        body: Of the class `Mine`; a whole module if it begins with `class` or `import`.
+        case: For what `nerfreg check` finds, the case in which it does.
     """
 
     what: str
     found: str
     body: str
+    case: str = ""
 
 
 MISTAKES = (
@@ -233,6 +235,42 @@ MISTAKES = (
         "    rendering = yield\n    return replace(rendering, rgb=rendering.rgb * self._gain)\n"
         "@hookimpl\ndef nerfreg_step_end(self):\n    self._gain *= 0.9\n",
     ),
+    Mistake(
+        "Random numbers from a global generator",
+        CHECK,
+        "@hookimpl\ndef nerfreg_loss(self, rendering):\n    opacity = rendering.opacity\n"
+        "    return {'thin': opacity.mean() * torch.rand(1)[0]}\n",
+        "steps",
+    ),
+    Mistake(
+        "A term without gradient",
+        CHECK,
+        "@hookimpl\ndef nerfreg_loss(self, rendering):\n"
+        "    return {'thin': torch.tensor(rendering.opacity.mean().item())}\n",
+        "terms",
+    ),
+    Mistake(
+        "A root or logarithm of 0",
+        CHECK,
+        "@hookimpl\ndef nerfreg_loss(self, rendering):\n"
+        "    return {'thin': rendering.opacity.sqrt().mean()}\n",
+        "empty",
+    ),
+    Mistake(
+        "A sum over rays in place of a mean",
+        CHECK,
+        "@hookimpl\ndef nerfreg_loss(self, rendering):\n"
+        "    return {'thin': rendering.opacity.sum()}\n",
+        "fog",
+    ),
+    Mistake(
+        "Renderings are kept on `self`",
+        CHECK,
+        "def __post_init__(self):\n    self._seen = []\n"
+        "@hookimpl\ndef nerfreg_loss(self, rendering):\n    self._seen.append(rendering)\n"
+        "    return {'thin': rendering.opacity.mean()}\n",
+        "steps",
+    ),
 )
 NOISY = """
 class Noisy(WrappedLayer):
@@ -281,6 +319,8 @@ def message(mistake: Mistake, folder: Path) -> tuple[str, int]:
         if mistake.found == "loading":
             [plugin] = [plugin for plugin in installed() if plugin.name == "mine"]
             return plugin.error, 2
+        if mistake.found == CHECK:
+            return _first_failure(mistake.case)
         words = ["+reg=mine", "hydra.run.dir=run", *SMALL]
         words += ["train.check=true"] if mistake.found == CHECKED else []
         errors = io.StringIO()
@@ -290,6 +330,15 @@ def message(mistake: Mistake, folder: Path) -> tuple[str, int]:
     told = lines[-1].removeprefix("nerfreg: error: ") if lines else ""
     # How much a leak changes depends on the machine.
     return re.sub(r"differs by \S+", "differs by 0.12", told), code
+
+
+def _first_failure(case: str) -> tuple[str, int]:
+    output = io.StringIO()
+    with contextlib.redirect_stdout(output), contextlib.redirect_stderr(output):
+        code = main(["check", "mine", "--case", case, "--dtype", "float32"])
+    told = next(line for line in output.getvalue().splitlines() if re.match(r"mine: \w+: ", line))
+    # These numbers depend on the machine.
+    return re.sub(r": \S+ became \S+", ": 0.3 became 0.6", told), code
 
 
 def row(mistake: Mistake, told: str) -> str:
@@ -312,7 +361,7 @@ def test_every_mistake_has_a_row() -> None:
 def test_message_is_that_of_the_page(number: int, mistake: Mistake, tmp_path: Path) -> None:
     told, code = message(mistake, tmp_path)
     assert rows()[number] == row(mistake, told)
-    assert told and code == {"running": 4, "leak": 4}.get(mistake.found, 2)
+    assert told and code == {"running": 4, "leak": 4, CHECK: 1}.get(mistake.found, 2)
 
 
 def write() -> None:
