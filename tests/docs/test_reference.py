@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
+import re
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -13,14 +14,16 @@ from nerfreg_docs.command_line import command_line, describe
 from nerfreg_docs.configuration import configuration
 from nerfreg_docs.docstrings import attributes, summary
 from nerfreg_docs.fields import fields_table, type_name, yaml_value
+from nerfreg_docs.hooks import hooks_in_evaluation
 from nerfreg_docs.markdown import plain, table
 from nerfreg_docs.markup import restructured
-from nerfreg_docs.modules import modules, names_of_package
+from nerfreg_docs.modules import modules, names_in_full, names_of_package
 from nerfreg_docs.regularizers import own_plugins, regularizers
 
 import nerfreg
 from nerfreg.cli.parser import make_parser, parsers_of
 from nerfreg.config.schema import Config
+from nerfreg.hooks import ALWAYS_IN_EVALUATION, IN_EVALUATION_IF_ASKED
 from nerfreg.scenes import SCENES
 
 
@@ -206,5 +209,24 @@ def test_modules_are_found() -> None:
     page = modules("nerfreg.scenes")
     assert ".. automodule:: nerfreg.scenes.cameras\n   :members:" in page
     names = names_of_package("nerfreg")
-    assert "{py:class}`Rendering <nerfreg.hooks.Rendering>`" in names
+    assert "{py:class}`Rendering <nerfreg.hooks.samples.Rendering>`" in names
+    assert "{py:func}`read_image <nerfreg.scenes.images.read_image>` | Read an image." in names
+    assert [line for line in names.splitlines() if line.endswith("|  |")] == []
     assert all(f"`{name}" in names for name in nerfreg.__all__)
+
+
+def test_promised_names_are_documented_in_full() -> None:
+    page = names_in_full("nerfreg")
+    assert "never removed or changed in meaning without having been" in " ".join(page.split())
+    for name in nerfreg.__all__:
+        assert f"## `nerfreg.{name}`\n\n" in page
+    assert ".. autoclass:: nerfreg.hooks.step.Step\n   :members:" in page
+    assert ".. autofunction:: nerfreg.scenes.images.read_image\n   :no-index:" in page
+
+
+def test_hooks_of_evaluation_are_those_of_the_specifications() -> None:
+    names = re.findall(r"^\| {py:meth}`(\w+) <.*>` \| (\w+) ", hooks_in_evaluation(), flags=re.M)
+    assert names == [
+        *((name, "always") for name in ALWAYS_IN_EVALUATION),
+        *((name, "for") for name in IN_EVALUATION_IF_ASKED),
+    ]

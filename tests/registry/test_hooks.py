@@ -10,8 +10,9 @@ import torch
 from torch import nn
 
 from nerfreg import Needs, NerfregError, Regularizer, hookimpl
+from nerfreg.errors import PluginError
 from nerfreg.field.layers import Linear
-from nerfreg.hooks import Samples
+from nerfreg.hooks import DensitySamples, EvaluatedView, Samples
 from nerfreg.registry import Hooks
 from nerfreg.scenes.cameras import Cameras
 from nerfreg.scenes.scene import Photographs
@@ -291,3 +292,76 @@ def test_depth_of_a_wrong_kind_is_refused(photographs) -> None:
         photographs
     )
     assert unknown.isnan().all()
+
+
+def answering(hook: str, answer: object) -> Hooks:
+    """Hooks of a plugin that gives this answer."""
+    body = {hook: hookimpl(lambda self: answer), "__doc__": "Answers."}
+    plugin = dataclass(type("Answer", (Regularizer,), body))
+    return Hooks({"answer": plugin()})
+
+
+@pytest.mark.parametrize(
+    ("hook", "answer", "message"),
+    [
+        ("rays", torch.zeros(2, 3), "returned Tensor; return Rays"),
+        ("encoder_input", torch.zeros(2, 3), "returned Tensor; return Samples"),
+        ("rendering", torch.zeros(2, 3), "returned Tensor; return Rendering"),
+        ("density", [1.0], "returned list; return Tensor"),
+        ("density", torch.zeros(2), r"returned shape \(2,\); return densities of shape \(2, 1\)"),
+        ("ray_bounds", torch.zeros(2), "returned Tensor; return near and far"),
+        ("ray_bounds", (torch.zeros(2), 1.0), r"returned shape \(2,\) and float; return near and"),
+        ("needs", 4, "returned int; return Needs"),
+        ("metrics", 0.5, "returned float; return numbers by name"),
+    ],
+)
+def test_an_answer_of_another_kind_is_told(
+    hook: str, answer: object, message: str, step, rays, rendering
+) -> None:
+    t, edges, density = torch.ones(2, 1), torch.ones(2, 2), torch.zeros(2, 1)
+    color = torch.zeros(2, 1, 3)
+    given = {
+        "rays": rays,
+        "ray_bounds": rays,
+        "rendering": rendering(torch.zeros(2)),
+        "encoder_input": Samples(torch.zeros(2, 1, 3), torch.zeros(2, 3), t),
+        "density": DensitySamples(rays, t, edges, density, lambda: density),
+        "metrics": EvaluatedView("", torch.zeros(3, 4), color, t, t, color),
+    }
+    arguments = [given[hook]] if hook in given else []
+    hooks = answering(f"nerfreg_{hook}", answer)
+    with pytest.raises(PluginError, match=rf"nerfreg_{hook} at step 7: {message}"):
+        getattr(hooks, hook)(*arguments, step(7))
+
+
+def test_an_edit_that_spoils_the_backward_pass_is_blamed_on_the_plugins(step) -> None:
+    x = torch.ones(2, requires_grad=True)
+    kept = torch.ones(2)
+    product = (x * kept).sum()
+    kept.mul_(0.5)
+    with pytest.raises(RuntimeError) as caught:
+        product.backward()
+    told = Hooks({"mine": Constant()}).blamed(caught.value, step(3))
+    assert isinstance(told, PluginError)
+    assert "mine" in str(told) and "backward pass at step 3: a tensor" in str(told)
+    assert Hooks().blamed(caught.value, step(3)) is caught.value
+
+
+@pytest.mark.parametrize(
+    ("hook", "answer", "message"),
+    [
+        ("prepare", torch.zeros(3, 4, 2), "returned Tensor; return a dictionary of tensors"),
+        (
+            "prepare",
+            {"grey": torch.zeros(3, 4)},
+            r"'grey' has shape \(3, 4\); return a tensor of shape \(3, 4, 2, ...\)",
+        ),
+        ("prepare", {"grey": 1.0}, "'grey' is of type float; return a tensor of shape"),
+        ("known_depth", 2.0, r"returned float; return a tensor \(3, 4, 2, 2\)"),
+    ],
+)
+def test_what_is_prepared_in_another_shape_is_told(
+    hook: str, answer: object, message: str, photographs
+) -> None:
+    with pytest.raises(PluginError, match=message):
+        getattr(answering(f"nerfreg_{hook}", answer), hook)(photographs)

@@ -67,6 +67,13 @@ def test_rays_may_move_and_nothing_else(rays: Rays) -> None:
     assert wrong_rays(rays, replace(rays, targets=rays.targets.clone())) == []
 
 
+def test_what_targets_count_may_change(rays: Rays) -> None:
+    assert wrong_rays(rays, replace(rays, target_weights=torch.tensor([0.0, 1.0]))) == []
+    assert wrong_rays(rays, replace(rays, target_weights=torch.tensor([torch.nan, 1.0]))) == [
+        "target_weights: 1 of 2 values not finite, the first at [0]: nan"
+    ]
+
+
 def test_densities(densities: DensitySamples) -> None:
     assert wrong_density(densities, densities.density * 2) == []
     assert wrong_density(densities, None) == [

@@ -13,8 +13,9 @@ from typing import TYPE_CHECKING, Any
 
 from nerfreg_docs.command_line import command_line
 from nerfreg_docs.configuration import configuration
+from nerfreg_docs.hooks import hooks_in_evaluation
 from nerfreg_docs.markup import restructured
-from nerfreg_docs.modules import modules, names_of_package
+from nerfreg_docs.modules import modules, names_in_full, names_of_package
 from nerfreg_docs.regularizers import regularizers
 
 if TYPE_CHECKING:
@@ -28,8 +29,10 @@ def generators() -> dict[str, Callable[..., str]]:
     return {
         "command_line": command_line,
         "configuration": configuration,
+        "hooks_in_evaluation": hooks_in_evaluation,
         "modules": modules,
         "names": names_of_package,
+        "names_in_full": names_in_full,
         "regularizers": regularizers,
     }
 

@@ -64,8 +64,8 @@ class WrappedLayer(AffineLayer):
     """A layer around another one, which stays in the fused kernels where the inner one does.
 
     A subclass overrides what it changes: `effective` for weight and bias, `added_input` and
-    `added_output` for what is added point by point. Where the layer inside is not affine, `forward`
-    runs and applies it between the two; a subclass that changes weights overrides that as well.
+    `added_output` for what is added point by point. Where `effective` returns None, because the
+    layer inside is not affine, `forward` applies that layer between the two.
 
     Attributes:
         inner: The layer inside.
@@ -103,6 +103,8 @@ class WrappedLayer(AffineLayer):
 
     def forward(self, x: Float[Tensor, "points in"]) -> Float[Tensor, "points out"]:
         """Compute by plain autograd what the fused kernels compute."""
+        if self.effective() is not None:
+            return super().forward(x)
         return shifted(self.inner(shifted(x, self.added_input())), self.added_output())
 
 

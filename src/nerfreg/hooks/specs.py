@@ -185,6 +185,7 @@ class HookSpecs:
     def nerfreg_rays(self, rays: Rays, step: Step) -> Rays | None:
         """Change the rays before they are sampled, such as by refined poses.
 
+        What the targets count (`target_weights`) may be changed as well, by masks or robust losses.
         The core returns `rays`. Origins and directions that require a gradient get one, through the
         positions of the samples. Near and far are clipped to the scene's box again if the rays have
         moved. Called in evaluation if the plugin asks for it.

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from functools import cache
 from types import FrameType
-from typing import Any
+from typing import Any, TypeVar
 
 import pluggy
 from torch import nn
@@ -14,6 +14,10 @@ from nerfreg.errors import NerfregError, PluginError
 from nerfreg.hooks import ALWAYS_IN_EVALUATION, PROJECT, HookSpecs, Regularizer, Step
 from nerfreg.registry.defaults import CoreDefaults
 from nerfreg.registry.plugins import HOOKS, conflicts_of, implemented, is_used, origin
+
+T = TypeVar("T")
+EDITED = "modified by an inplace operation"
+"""What torch says when a tensor of a graph is no longer what it was."""
 
 
 class PluginCaller:
@@ -53,7 +57,8 @@ class PluginCaller:
     def blamed(self, error: Exception, step: Step | None) -> Exception:
         """Return what to raise in place of an error that came up outside of a hook.
 
-        It is a `PluginError` if a layer or module of a plugin raised it, else the error itself.
+        It is a `PluginError` if a layer or module of a plugin raised it, or if a tensor was edited
+        that the backward pass needs, which nobody else does. Otherwise it is the error itself.
         """
         if isinstance(error, NerfregError):
             return error
@@ -62,6 +67,12 @@ class PluginCaller:
             if isinstance(owner, nn.Module) and (name := self.owner(type(owner))):
                 what = f"{type(owner).__name__}.{frame.f_code.co_name}"
                 return self._error(what, (name,), step, _in_words(error))
+        if self.plugins and EDITED in str(error):
+            wrong = (
+                "a tensor that the gradient needs was edited in place; make a new one, and "
+                "change buffers in nerfreg_step_end (train.check=true finds edits of hooks' inputs)"
+            )
+            return self._error("backward pass", tuple(self.plugins), step, wrong)
         return error
 
     def owner(self, cls: type) -> str | None:
@@ -108,8 +119,26 @@ class PluginCaller:
             raise self._error(hook, names, given.get("step"), _in_words(error)) from error
         if answer is None and hook != "nerfreg_encoder":
             raise self._error(
-                hook, plugins, given.get("step"), "returned None; return what it specifies"
+                hook,
+                plugins,
+                given.get("step"),
+                "returned None; return the answer, as it came or changed",
             )
+        return answer
+
+    def _ask_for(
+        self, kind: type[T], hook: str, plugins: tuple[str, ...], given: dict[str, Any]
+    ) -> T:
+        """Call a hook that has a single result, of this type.
+
+        Raises:
+            PluginError: The answer is of another type.
+        """
+        answer = self._ask(hook, plugins, given)
+        if not isinstance(answer, kind):
+            name = "near and far" if kind is tuple else kind.__name__
+            wrong = f"returned {type(answer).__name__}; return {name}"
+            raise self._error(hook, plugins, given.get("step"), wrong)
         return answer
 
     def _tell(self, hook: str, plugins: tuple[str, ...], step: Step) -> None:

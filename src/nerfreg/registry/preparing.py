@@ -35,19 +35,19 @@ class PreparingHooks(PluginCaller):
         size = tuple(photographs.images.shape[:3])
         for plugin in self._users["nerfreg_prepare"]:
             for answer in self._ask("nerfreg_prepare", (plugin,), {"photographs": photographs}):
+                if not isinstance(answer, dict):
+                    wrong = f"returned {type(answer).__name__}; return a dictionary of tensors"
+                    raise self._error("nerfreg_prepare", (plugin,), None, wrong)
                 for name, values in answer.items():
                     if not isinstance(values, Tensor) or tuple(values.shape[:3]) != size:
                         found = (
-                            f"shape {tuple(values.shape)}"
+                            f"has shape {tuple(values.shape)}"
                             if isinstance(values, Tensor)
-                            else type(values).__name__
+                            else f"is of type {type(values).__name__}"
                         )
-                        raise self._error(
-                            "nerfreg_prepare",
-                            (plugin,),
-                            None,
-                            f"'{name}' is {found}; return a tensor of {size} and more axes",
-                        )
+                        axes = ", ".join(map(str, size))
+                        wrong = f"'{name}' {found}; return a tensor of shape ({axes}, ...)"
+                        raise self._error("nerfreg_prepare", (plugin,), None, wrong)
                     data[f"{plugin}.{name}"] = values
         return data
 
@@ -70,7 +70,9 @@ class PreparingHooks(PluginCaller):
             for depth in self._ask("nerfreg_known_depth", (name,), {"photographs": photographs}):
                 shape = (*photographs.images.shape[:3], 2)
                 wrong = ""
-                if tuple(depth.shape) != shape:
+                if not isinstance(depth, Tensor):
+                    wrong = f"returned {type(depth).__name__}; return a tensor {shape}"
+                elif tuple(depth.shape) != shape:
                     wrong = f"has shape {tuple(depth.shape)}, not {shape}"
                 elif bool((depth[..., 0] > depth[..., 1]).any()):
                     wrong = "some intervals end before they begin"
@@ -80,10 +82,17 @@ class PreparingHooks(PluginCaller):
         return known
 
     def needs(self, step: Step) -> Needs:
-        """Return the union of what the active plugins want rendered."""
+        """Return the union of what the active plugins want rendered.
+
+        Raises:
+            PluginError: An answer is something else.
+        """
         union = Needs()
         for name in self._active("nerfreg_needs", step):
             for needs in self._ask("nerfreg_needs", (name,), {"step": step}):
+                if not isinstance(needs, Needs):
+                    wrong = f"returned {type(needs).__name__}; return Needs"
+                    raise self._error("nerfreg_needs", (name,), step, wrong)
                 union |= needs
         return union
 

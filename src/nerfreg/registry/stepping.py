@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import torch
@@ -62,15 +63,23 @@ class SteppingHooks(PluginCaller):
         active = self._active("nerfreg_rays", step)
         if not active:
             return rays
-        changed: Rays = self._ask("nerfreg_rays", active, {"rays": rays, "step": step})
-        return changed
+        return self._ask_for(Rays, "nerfreg_rays", active, {"rays": rays, "step": step})
 
     def ray_bounds(self, rays: Rays, step: Step) -> tuple[Tensor, Tensor]:
-        """Return near and far of each ray, (R,) each."""
+        """Return near and far of each ray, (R,) each.
+
+        Raises:
+            PluginError: The answer is not two tensors with a value for each ray.
+        """
         active = self._active("nerfreg_ray_bounds", step)
         if not active:
             return rays.near, rays.far
-        near, far = self._ask("nerfreg_ray_bounds", active, {"rays": rays, "step": step})
+        answer = self._ask_for(tuple, "nerfreg_ray_bounds", active, {"rays": rays, "step": step})
+        found = [_shape(part) for part in answer]
+        if found != [_shape(rays.near)] * 2:
+            wrong = f"returned {_listed(found)}; return near and far of {_shape(rays.near)} each"
+            raise self._error("nerfreg_ray_bounds", active, step, wrong)
+        near, far = answer
         return near, far
 
     def empty(
@@ -98,16 +107,22 @@ class SteppingHooks(PluginCaller):
         if not active:
             return samples
         given = {"samples": samples, "step": step}
-        changed: Samples = self._ask("nerfreg_encoder_input", active, given)
-        return changed
+        return self._ask_for(Samples, "nerfreg_encoder_input", active, given)
 
     def density(self, samples: DensitySamples, step: Step) -> Float[Tensor, "rays samples"]:
-        """Return the densities as the plugins change them."""
+        """Return the densities as the plugins change them.
+
+        Raises:
+            PluginError: The answer does not have a density for each sample.
+        """
         active = self._active("nerfreg_density", step)
         if not active:
             return samples.density
         given = {"samples": samples, "step": step}
-        density: Tensor = self._ask("nerfreg_density", active, given)
+        density = self._ask_for(Tensor, "nerfreg_density", active, given)
+        if density.shape != samples.density.shape:
+            wrong = f"returned {_shape(density)}; return densities of {_shape(samples.density)}"
+            raise self._error("nerfreg_density", active, step, wrong)
         return density
 
     def color_input(
@@ -139,8 +154,7 @@ class SteppingHooks(PluginCaller):
         if not active:
             return rendering
         given = {"rendering": rendering, "step": step}
-        changed: Rendering = self._ask("nerfreg_rendering", active, given)
-        return changed
+        return self._ask_for(Rendering, "nerfreg_rendering", active, given)
 
     def losses(self, rendering: Rendering, step: Step) -> list[Term]:
         """Return all terms of the active plugins, unweighted, each with its plugin's weight.
@@ -185,9 +199,24 @@ class SteppingHooks(PluginCaller):
         return rendering if unchanged else replace(rendering, rays=tiled)
 
     def metrics(self, view: EvaluatedView, step: Step) -> dict[str, float]:
-        """Return what the selected plugins measure of a view, by "plugin.metric"."""
+        """Return what the selected plugins measure of a view, by "plugin.metric".
+
+        Raises:
+            PluginError: An answer is no dictionary.
+        """
         found: dict[str, float] = {}
         for name in self._users["nerfreg_metrics"]:
             for values in self._ask("nerfreg_metrics", (name,), {"view": view, "step": step}):
+                if not isinstance(values, dict):
+                    wrong = f"returned {type(values).__name__}; return numbers by name"
+                    raise self._error("nerfreg_metrics", (name,), step, wrong)
                 found |= {f"{name}.{metric}": float(value) for metric, value in values.items()}
         return found
+
+
+def _shape(value: object) -> str:
+    return f"shape {tuple(value.shape)}" if isinstance(value, Tensor) else type(value).__name__
+
+
+def _listed(parts: Sequence[str]) -> str:
+    return " and ".join(parts) or "nothing"

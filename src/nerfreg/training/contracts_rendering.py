@@ -22,7 +22,8 @@ UNIT = 1e-4
 def wrong_rays(before: Rays, after: object) -> list[str]:
     """Check what `nerfreg_rays` made of `before`: as many rays, finite, in order, of unit speed.
 
-    Targets and everything that refers to rays by number must be left as they are.
+    Targets and everything that refers to rays by number must be left as they are. What the targets
+    count (`target_weights`) may be changed: masks and robust losses do that.
     """
     if not isinstance(after, Rays):
         return [f"returned {kind(after)}, not Rays; return `rays` to leave them as they are"]
@@ -34,7 +35,10 @@ def wrong_rays(before: Rays, after: object) -> list[str]:
     off = (after.directions.detach().norm(dim=1) - 1).abs()
     if len(off) and float(off.max()) > UNIT:
         wrong.append(f"directions: not of unit length, off by up to {float(off.max()):.2g}")
-    own = ("origins", "directions", "near", "far", "background")
+    if after.target_weights is not None:
+        model = before.near.new_empty(len(before.targets))
+        wrong += unlike("target_weights", after.target_weights, model)
+    own = ("origins", "directions", "near", "far", "background", "target_weights")
     for name in (field.name for field in fields(Rays) if field.name not in own):
         given, left = getattr(before, name), getattr(after, name)
         if left is not given and not (isinstance(given, Tensor) and _equal(given, left)):
