@@ -74,7 +74,6 @@ class Driver:
         self.subject = subject
         self.hooks = hooks or subject.hooks()
         self.broken: dict[str, float] = {}
-        self.inputs = self._prepared(inputs)
         known = (part.name for part in fields(SceneInfo))
         self.scene = SceneInfo(**{name: getattr(inputs.photographs, name) for name in known})
         self.density = inputs.density.clone().requires_grad_()
@@ -89,6 +88,8 @@ class Driver:
             self.networks = {name: self._network(name).to(features.dtype) for name in self.widths}
             made = self.hooks.modules(self.scene).values()
         self.modules = [trained.module.to(features.dtype) for trained in made]
+        # After the modules, as in a run: a plugin may put what it finds out into a buffer.
+        self.inputs = self._prepared(inputs)
         self.table = make_table(features.dtype)
         self.rendering = self._assemble(
             self.inputs.rays, single(self.density), lambda *index: single(self.colors)[index]

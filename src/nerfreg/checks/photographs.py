@@ -95,6 +95,8 @@ def check_known_depth(report: Report, _: PhotographCase, photographs: Photograph
 def check_prepare(report: Report, _: PhotographCase, photographs: Photographs) -> None:
     """Check that what is prepared are values of each pixel."""
     hooks = WatchedHooks(report.subject.selected())
+    # As in a run: a plugin may put what it finds out into a buffer of its module.
+    hooks.modules(photographs)
     try:
         hooks.prepare(photographs)
     except PluginError:

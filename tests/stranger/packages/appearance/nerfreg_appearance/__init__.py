@@ -49,4 +49,4 @@ class Appearance(Regularizer):
         vectors = self._vectors.weight
         # The mean comes last, where view -1 finds it.
         rows = torch.cat((vectors, vectors.mean(dim=0, keepdim=True)))
-        return rows[samples.view]
+        return rows[samples.view].to(samples.t)

@@ -1,5 +1,6 @@
 """The moving average of the weights teaches the field on views that no photograph shows."""
 
+import math
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -48,8 +49,8 @@ class MeanTeacher(Regularizer):
         teacher = step.teacher.rerender(student)
         error = (student.rgb - teacher.rgb).square().mean(dim=1)
         self._latest = float(error.detach().mean())
-        usual = max(self._usual or self._latest, 1e-12)
-        trust = (-error.detach() / usual).exp() * min(self._steps / self.warmup, 1.0)
+        usual = self._usual or math.inf
+        trust = (-error.detach() / usual).exp() * min((self._steps + 1) / self.warmup, 1.0)
         return {"consistency": (trust * error).mean()}
 
     @hookimpl
