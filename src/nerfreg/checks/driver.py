@@ -86,7 +86,7 @@ class Driver:
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(0)
             self.networks = {name: self._network(name).to(features.dtype) for name in self.widths}
-            made = self.hooks.modules(self.scene).values()
+            made = self.hooks.modules(self.scene, FEATURES).values()
         self.modules = [trained.module.to(features.dtype) for trained in made]
         # After the modules, as in a run: a plugin may put what it finds out into a buffer.
         self.inputs = self._prepared(inputs)

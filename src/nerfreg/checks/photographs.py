@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import torch
 
 from nerfreg.checks.report import Report, Spot, UnpreparedError
+from nerfreg.checks.small_field import FEATURES
 from nerfreg.checks.watch import WatchedHooks
 from nerfreg.errors import NerfregError, PluginError
 from nerfreg.scenes.cameras import Cameras
@@ -96,7 +97,7 @@ def check_prepare(report: Report, _: PhotographCase, photographs: Photographs) -
     """Check that what is prepared are values of each pixel."""
     hooks = WatchedHooks(report.subject.selected())
     # As in a run: a plugin may put what it finds out into a buffer of its module.
-    hooks.modules(photographs)
+    hooks.modules(photographs, FEATURES)
     try:
         hooks.prepare(photographs)
     except PluginError:

@@ -97,7 +97,9 @@ class HookSpecs:
         """
 
     @hookspec
-    def nerfreg_module(self, scene_info: SceneInfo) -> nn.Module | TrainedModule | None:
+    def nerfreg_module(
+        self, scene_info: SceneInfo, encoding_width: int
+    ) -> nn.Module | TrainedModule | None:
         """Make a module with parameters and buffers of the plugin's own, when the field is built.
 
         The module is part of the field: it moves to its device, is saved and restored with its
@@ -106,6 +108,7 @@ class HookSpecs:
 
         Args:
             scene_info: What is known of the scene.
+            encoding_width: Number of features of an encoded position (`FieldView.encode`).
         """
 
     @hookspec

@@ -58,15 +58,20 @@ class BuildingHooks(PluginCaller):
         """How many inputs of the colour network come from plugins."""
         return sum(self.plugins[name].color_inputs for name in self._users["nerfreg_color_input"])
 
-    def modules(self, scene: SceneInfo) -> dict[str, TrainedModule]:
+    def modules(self, scene: SceneInfo, encoding_width: int) -> dict[str, TrainedModule]:
         """Return the modules of the selected plugins, by the names of the plugins.
+
+        Args:
+            scene: What is known of the scene.
+            encoding_width: Number of features of an encoded position.
 
         Raises:
             PluginError: A plugin returned something else.
         """
         made = {}
+        given = {"scene_info": scene, "encoding_width": encoding_width}
         for name in self._users["nerfreg_module"]:
-            for part in self._ask("nerfreg_module", (name,), {"scene_info": scene}):
+            for part in self._ask("nerfreg_module", (name,), given):
                 module = part.module if isinstance(part, TrainedModule) else part
                 if not isinstance(module, nn.Module):
                     kind = f"returned {type(module).__name__}; return a torch module"

@@ -43,6 +43,8 @@ class PluginCaller:
             hook: tuple(name for name, plugin in used.items() if hook in implemented(type(plugin)))
             for hook in HOOKS
         }
+        # The side of the patches that each plugin asked for last.
+        self._patch_sides: dict[str, int] = {}
         self._core = CoreDefaults()
         # Kept, because making a manager is slow against calling it, and there are only as many sets
         # of active plugins as combinations of open windows.

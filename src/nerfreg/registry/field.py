@@ -24,6 +24,6 @@ def make_field(config: FieldConfig, scene: SceneInfo, hooks: Hooks) -> RadianceF
     parts = FieldParts(encoders, hooks.color_inputs)
     field = RadianceField(config, scene.box, hooks.layer, parts)
     # After the layers, whose initial weights must not depend on the random numbers drawn here.
-    for name, trained in hooks.modules(scene).items():
+    for name, trained in hooks.modules(scene, field.density_width).items():
         field.add_plugin(name, trained)
     return field

@@ -93,6 +93,7 @@ class PreparingHooks(PluginCaller):
                 if not isinstance(needs, Needs):
                     wrong = f"returned {type(needs).__name__}; return Needs"
                     raise self._error("nerfreg_needs", (name,), step, wrong)
+                self._patch_sides[name] = needs.patch_size
                 union |= needs
         return union
 

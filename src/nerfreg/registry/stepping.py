@@ -165,7 +165,7 @@ class SteppingHooks(PluginCaller):
         terms = []
         for name in self._active("nerfreg_loss", step):
             # One plugin at a time, because the answer does not say whose it is.
-            given = {"rendering": self._as_needed(name, rendering, step), "step": step}
+            given = {"rendering": self._as_needed(name, rendering), "step": step}
             answers = self._ask("nerfreg_loss", (name,), given)
             if not all(isinstance(values, dict) for values in answers) or not answers:
                 found = type(answers[0]).__name__ if answers else "None"
@@ -183,18 +183,16 @@ class SteppingHooks(PluginCaller):
                 terms.append(Term(name, term, float(self.plugins[name].weight), value))
         return terms
 
-    def _as_needed(self, name: str, rendering: Rendering, step: Step) -> Rendering:
+    def _as_needed(self, name: str, rendering: Rendering) -> Rendering:
         """The rendering with patches of the side that a plugin asks for.
 
         Patches have the largest side that any plugin asks for, but each gets what it is set to:
         one plugin may be selected twice, to compare two sides.
         """
-        rays, asking = rendering.rays, self._users["nerfreg_needs"]
-        whole = rays.patches is None and rays.unseen_patches is None
-        if whole or len(asking) < 2 or name not in asking:
+        rays = rendering.rays
+        if rays.patches is None and rays.unseen_patches is None:
             return rendering
-        sides = [needs.patch_size for needs in self._ask("nerfreg_needs", (name,), {"step": step})]
-        tiled = rays.tiled(max(sides, default=0))
+        tiled = rays.tiled(self._patch_sides.get(name, 0))
         unchanged = tiled.patches is rays.patches and tiled.unseen_patches is rays.unseen_patches
         return rendering if unchanged else replace(rendering, rays=tiled)
 

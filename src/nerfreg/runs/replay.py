@@ -52,6 +52,8 @@ def replay(path: Path) -> int:
         ) from error
     again = batch.again(Renderer(field, config.sampler, hooks))
     hooks.begin(again.step)
+    # The rays are there already, but hooks remember what each plugin asked for.
+    hooks.needs(again.step)
     rendering = again.render()
     terms = loss_terms(rendering, hooks, again.step)
     faults = faults_of(rendering, terms, field)
