@@ -11,7 +11,7 @@ demo: $(VENV)/.installed
 	$(BIN)/nerfreg train +reg=combinerf
 
 test: $(VENV)/.installed-dev
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest --numprocesses=auto --dist=worksteal
 
 lint: $(VENV)/.installed-dev
 	$(BIN)/ruff format --check
