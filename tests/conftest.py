@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import random
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -57,6 +58,12 @@ class Faulty(Regularizer):
 def environment() -> dict[str, str]:
     """For a Python process that finds what this one finds, from any folder."""
     return {**os.environ, "PYTHONPATH": os.pathsep.join(os.path.abspath(path) for path in sys.path)}
+
+
+@pytest.fixture
+def python_random(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The tests' type checker draws from Python's generator; `check` watches another one."""
+    monkeypatch.setattr("nerfreg.checks.watch.random", random.Random(0))
 
 
 @pytest.fixture

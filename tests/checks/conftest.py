@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import random
 from collections.abc import Callable
 
 import pytest
@@ -13,9 +12,8 @@ from nerfreg.registry import PluginInfo
 
 
 @pytest.fixture(autouse=True)
-def _python(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The tests' type checker draws from Python's generator; another one takes its place."""
-    monkeypatch.setattr("nerfreg.checks.watch.random", random.Random(0))
+def _python(python_random: None) -> None:
+    """Every check may look at Python's generator."""
 
 
 @pytest.fixture

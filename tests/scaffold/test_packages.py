@@ -58,7 +58,7 @@ def test_each_implements_the_hooks_that_were_asked_for() -> None:
 
 
 @every_package
-@pytest.mark.usefixtures("found")
+@pytest.mark.usefixtures("found", "python_random")
 def test_passes_the_check_on_some_cases(name: str, capsys: pytest.CaptureFixture[str]) -> None:
     for case in ("two_walls", "layer_0", "photos_noise"):
         assert main(["check", name, "--case", case]) == 0, capsys.readouterr().out
