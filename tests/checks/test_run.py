@@ -25,6 +25,7 @@ class Careless(Regularizer):
 
     @hookimpl
     def nerfreg_loss(self, rendering):
+        print("a helper of the plugin says hello")
         return {"careless": (1 / rendering.opacity**self.power).mean()}
 
 
@@ -49,6 +50,15 @@ def test_failure_and_its_reproduction(capsys):
     out = capsys.readouterr().out
     assert "careless: value: term 'careless' is inf" in out
     assert "nerfreg check careless --case empty --dtype float32 --samples 2" in out
+
+
+@pytest.mark.usefixtures("careless")
+def test_what_a_plugin_prints_is_no_part_of_the_report(capsys):
+    words = ["check", "careless", "--case", "empty", "--dtype", "float32", "--json"]
+    assert main(words) == 1
+    out, err = capsys.readouterr()
+    assert json.loads(out)["passed"] is False
+    assert "a helper of the plugin says hello" in err
 
 
 @pytest.mark.usefixtures("careless")

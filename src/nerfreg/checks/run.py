@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from collections import defaultdict
 from collections.abc import Callable, Sequence
+from contextlib import redirect_stdout
 
 from omegaconf import OmegaConf
 from rich.console import Console
@@ -127,7 +128,8 @@ def run(
         raise NerfregError(f"--case {case}: {nearest(str(case), (c.name for c in ALL_CASES))}")
     dtypes = tuple(DTYPES) if dtype is None else (dtype,)
     subjects, reports = _subjects(words), []
-    with Console(stderr=True).status("checking") as status:
+    # What a plugin prints must not get into the report, which a program may read.
+    with redirect_stdout(sys.stderr), Console(stderr=True).status("checking") as status:
         for subject in subjects:
             status.update(f"checking {subject.name}")
             reports.append(check_plugin(subject, cases, dtypes, samples))
