@@ -108,8 +108,9 @@ def _schedule(where: str, node: DictConfig, key: str) -> Schedule | None:
         return None
     # Only here, where the whole configuration is known, can what it refers to be put in.
     mapping = OmegaConf.create(dict(value), parent=node)
+    plain: Any = OmegaConf.to_container(mapping, resolve=True)
     try:
-        schedule = Schedule.read(OmegaConf.to_container(mapping, resolve=True))  # type: ignore[arg-type]
+        schedule = Schedule.read(plain)
     except NerfregError as error:
         raise NerfregError(f"{where}: {error}") from error
     if key == "weight" and min(schedule.values) < 0:

@@ -95,7 +95,7 @@ class Rays:
     directions: Float[Tensor, "rays 3"]
     near: Float[Tensor, " rays"]
     far: Float[Tensor, " rays"]
-    targets: Float[Tensor, "supervised 3"] = None  # type: ignore[assignment]  # set below
+    targets: Float[Tensor, "supervised 3"] = field(default_factory=lambda: torch.zeros(0, 3))
     background: Float[Tensor, "rays 3"] | None = None
     patches: Int[Tensor, "patches side side"] | None = None
     neighbors: Int[Tensor, "pairs 2"] | None = None
@@ -108,11 +108,6 @@ class Rays:
     pixel: Float[Tensor, "rays 2"] | None = None
     unseen_views: Int[Tensor, " unseen"] | None = None
     data: Mapping[str, Tensor] = field(default_factory=dict)
-
-    def __post_init__(self) -> None:
-        """Fill in that there are no targets."""
-        if self.targets is None:
-            self.targets = self.origins.new_zeros(0, 3)
 
     def __len__(self) -> int:
         return len(self.origins)
