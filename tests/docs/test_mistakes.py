@@ -366,7 +366,7 @@ def test_every_mistake_has_a_row() -> None:
 def test_message_is_that_of_the_page(number: int, mistake: Mistake, tmp_path: Path) -> None:
     told, code = message(mistake, tmp_path)
     assert rows()[number] == row(mistake, told)
-    assert told and code == {"running": 4, "leak": 4, CHECK: 1}.get(mistake.found, 2)
+    assert told and code == {"loading": 2, CHECK: 1}.get(mistake.found, 4)
 
 
 def write() -> None:

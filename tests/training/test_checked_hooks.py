@@ -205,7 +205,7 @@ def test_it_is_chosen_by_a_key(
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(Annealing, "nerfreg_ray_bounds", Backwards.nerfreg_ray_bounds)
     words = ["train", "+reg=annealing", *SMALL]
-    assert main([*words, "train.check=true"]) == 2
+    assert main([*words, "train.check=true"]) == 4
     expected = "plugin annealing, nerfreg_ray_bounds at step 0: near > far on "
     assert capsys.readouterr().err.startswith(f"nerfreg: error: {expected}")
     assert main([*words, "train.check=true", "train.check_every=0"]) == 2

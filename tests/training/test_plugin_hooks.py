@@ -802,3 +802,21 @@ def test_each_plugin_gets_patches_of_its_own_side(scene: Scene) -> None:
     pixels = small.rays.pixel[small.rays.patches]
     assert torch.equal(pixels[:, 0, 1] - pixels[:, 0, 0], torch.tensor([[1.0, 0.0]] * 4))
     assert torch.equal(pixels[:, 1, 0] - pixels[:, 0, 0], torch.tensor([[0.0, 1.0]] * 4))
+
+
+def test_empty_space_is_where_samples_lie_and_not_where_encoders_see_them(scene: Scene) -> None:
+    @dataclass
+    class Away(Regularizer):
+        """The encoders see everything far away."""
+
+        @hookimpl(wrapper=True)
+        def nerfreg_encoder_input(self):
+            samples = yield
+            return replace(samples, positions=samples.positions + 100.0)
+
+    plain, moved = (make(scene, *plugins) for plugins in ((HalfEmpty(),), (Away(), HalfEmpty())))
+    for trainer in (plain, moved):
+        trainer.renderer.render(trainer.batches.draw(Needs()), trainer._step())
+    assert 0 < plain.renderer.points < 32 * 16
+    # Coarse samples are the same; importance samples follow other densities.
+    assert 0 < moved.renderer.points < 32 * 16

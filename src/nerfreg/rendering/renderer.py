@@ -85,8 +85,8 @@ class Renderer:
             The rendering of the rays, with N samples each.
         """
         if like is not None:
-            samples = self._encode(rays, like.t, step, shift)
-            values = self._evaluate(samples, step)
+            samples, places = self._encode(rays, like.t, step, shift)
+            values = self._evaluate(samples, places, step)
             # The earlier choice of coloured samples is kept although the weights may differ now: a
             # perturbation of colours has a row for each of these samples.
             colored = None if density_only else like.colored
@@ -117,8 +117,8 @@ class Renderer:
             rays.groups,
         )
         ray_near, ray_far = _per_ray(near, rays.groups), _per_ray(far, rays.groups)
-        coarse_samples = self._encode(rays, coarse, step)
-        first = self._evaluate(coarse_samples, step)
+        coarse_samples, places = self._encode(rays, coarse, step)
+        first = self._evaluate(coarse_samples, places, step)
         # Where samples are placed has no gradient, but their values have: the coarse samples are
         # composited with the fine ones, so that the gradient goes through both evaluations.
         with torch.no_grad():
@@ -136,8 +136,8 @@ class Renderer:
             )
             fine = _per_ray(fine, rays.groups)
             t, order = merge(coarse, fine)
-        fine_samples = self._encode(rays, fine, step)
-        both = first.followed_by(self._evaluate(fine_samples, step)).ordered(order)
+        fine_samples, places = self._encode(rays, fine, step)
+        both = first.followed_by(self._evaluate(fine_samples, places, step)).ordered(order)
         directions = _merged_directions(coarse_samples, fine_samples, order)
         edges = edges_between(t, ray_near, ray_far)
         color = self._color(rays, t, both, directions, fine_samples, step)
@@ -161,20 +161,32 @@ class Renderer:
             )
         return self.hooks.rendering(assemble(rays, t, edges, density, color, colored), step)
 
-    def _encode(self, rays: Rays, t: Tensor, step: Step, shift: Tensor | None = None) -> Samples:
+    def _encode(
+        self, rays: Rays, t: Tensor, step: Step, shift: Tensor | None = None
+    ) -> tuple[Samples, Float[Tensor, "rays samples 3"]]:
+        """Return what the encoders see of samples, and where these lie."""
         positions = rays.origins[:, None] + rays.directions[:, None] * t[..., None]
+        if shift is not None:
+            positions = positions + shift
         samples = Samples(
-            positions=positions if shift is None else positions + shift,
+            positions=positions,
             directions=rays.directions,
             t=t,
             density_width=self.field.density_width,
             color_width=self.field.direction_width,
         )
-        return self.hooks.encoder_input(samples, step)
+        return self.hooks.encoder_input(samples, step), positions
 
-    def _evaluate(self, samples: Samples, step: Step) -> FieldValues:
+    def _evaluate(
+        self, samples: Samples, places: Float[Tensor, "rays samples 3"], step: Step
+    ) -> FieldValues:
+        """Evaluate the density of samples, but for those that lie in empty space.
+
+        Whether space is empty depends on where samples lie, not on where a plugin lets the encoders
+        see them; views and `Step.field` ask in the same way.
+        """
         positions, shape = samples.positions.reshape(-1, 3), samples.t.shape
-        empty = self.hooks.empty(positions.detach(), step)
+        empty = self.hooks.empty(places.detach().view(-1, 3), step)
         if empty is not None:
             seen = (~empty).nonzero().squeeze(1)
             positions = positions.index_select(0, seen)

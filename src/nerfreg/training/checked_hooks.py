@@ -8,7 +8,7 @@ from typing import Any
 
 import torch
 
-from nerfreg.errors import NerfregError
+from nerfreg.errors import PluginError
 from nerfreg.hooks import (
     ColorSamples,
     DensitySamples,
@@ -79,7 +79,7 @@ class CheckedHooks(Hooks):
     ) -> None:
         who = f"plugin{'s' if len(plugins) > 1 else ''} {', '.join(plugins)}"
         when = "" if step is None else f" at step {step.index}"
-        raise NerfregError(f"{who}, {hook}{when}: {'; '.join(wrong)}")
+        raise PluginError(f"{who}, {hook}{when}: {'; '.join(wrong)}")
 
 
 def _layer(given: Given, answer: Any) -> list[str]:
