@@ -93,7 +93,7 @@ def test_rays_know_their_view_and_pixel(scene: Scene) -> None:
     assert watch.step.scene.labels == tuple(scene.labels[view] for view in scene.train)
 
 
-def test_watching_changes_nothing_but_the_rays(scene: Scene) -> None:
+def test_hooks_that_change_nothing_train_the_same_weights(scene: Scene) -> None:
     @dataclass
     class Idle(Regularizer):
         """Implements hooks that return what they got."""

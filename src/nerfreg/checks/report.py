@@ -24,7 +24,7 @@ CHECKS = {
     "effects": "targets, weights, global generators and settings stay as they are",
     "steps": "no step raises, in any window; nothing of a step is kept after it",
     "cost": "work grows in proportion to the number of rays and of samples",
-    "run": "a small run trains; a fresh process evaluates it in the same way",
+    "run": "a small run trains; the plugin made anew evaluates its checkpoint in the same way",
     "state": "a checkpoint restores all that the next step depends on",
 }
 """All checks, with what holds where one is ok."""

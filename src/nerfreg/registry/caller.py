@@ -54,7 +54,7 @@ class PluginCaller:
 
     def changes(self, hook: str, step: Step) -> bool:
         """Return whether an active plugin implements a hook."""
-        return bool(self._users[hook]) and bool(self._active(hook, step))
+        return bool(self._active(hook, step))
 
     def blamed(self, error: Exception, step: Step | None) -> Exception:
         """Return what to raise in place of an error that came up outside of a hook.

@@ -145,7 +145,10 @@ class Trainer:
                     self._apply(step)
                     self.hooks.step_end(step)
             except Exception as error:
-                raise self.hooks.blamed(error, step) from error
+                blamed = self.hooks.blamed(error, step)
+                if blamed is error:
+                    raise
+                raise blamed from error
         # Detached, so that whoever keeps the terms does not keep the graph of the step.
         terms = [Term(term.plugin, term.name, term.weight, term.value.detach()) for term in terms]
         if finite:
