@@ -43,7 +43,7 @@ if TYPE_CHECKING:
         TrainedModule,
         hookimpl,
     )
-    from nerfreg.rays.occupancy import OccupancyGrid
+    from nerfreg.hooks.occupancy import OccupancyGrid
     from nerfreg.scenes.cameras import Cameras
     from nerfreg.scenes.images import read_image
     from nerfreg.scenes.scene import Photographs, SceneInfo
@@ -78,7 +78,7 @@ ELSEWHERE = {
     "AffineLayer": "nerfreg.field.layers",
     "Linear": "nerfreg.field.layers",
     "WrappedLayer": "nerfreg.field.layers",
-    "OccupancyGrid": "nerfreg.rays.occupancy",
+    "OccupancyGrid": "nerfreg.hooks.occupancy",
     "Cameras": "nerfreg.scenes.cameras",
     "read_image": "nerfreg.scenes.images",
     "Photographs": "nerfreg.scenes.scene",

@@ -20,6 +20,10 @@ class NerfregError(Exception):
     exit_code: ClassVar[int] = 2
 
 
+class NerfregWarning(UserWarning):
+    """Something that a run does without; the command line shows it in one line."""
+
+
 class NoRendererError(NerfregError):
     """A plugin wants rays to be rendered again where there is no field to render."""
 

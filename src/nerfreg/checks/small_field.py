@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from torch import Tensor, nn
 
 from nerfreg.field.grid_layout import GridLayout
@@ -80,6 +80,10 @@ class SmallField:
             DenseLevel(int(cells), last - first, self.table[first:last])
             for cells, (first, last) in zip(LAYOUT.resolutions, ends, strict=True)
         )
+
+    def empty(self, positions: Float[Tensor, "points 3"]) -> Bool[Tensor, " points"]:
+        """Return that nothing is empty, (P,)."""
+        return torch.zeros_like(positions[:, 0], dtype=torch.bool)
 
     def encode(self, positions: Float[Tensor, "points 3"]) -> Float[Tensor, "points features"]:
         """Return the encoding of positions, (P, 4)."""

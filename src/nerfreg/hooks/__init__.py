@@ -4,6 +4,7 @@
 """
 
 from nerfreg.hooks.evaluated import EvaluatedView
+from nerfreg.hooks.occupancy import OccupancyGrid
 from nerfreg.hooks.rays import NEIGHBORS, Needs, Rays
 from nerfreg.hooks.regularizer import CHANGED, HOOKS_VERSION, Regularizer, TrainedModule
 from nerfreg.hooks.samples import ColorSamples, DensitySamples, Rendering, Samples
@@ -30,6 +31,7 @@ __all__ = [
     "FieldView",
     "HookSpecs",
     "Needs",
+    "OccupancyGrid",
     "RayRenderer",
     "Rays",
     "Regularizer",

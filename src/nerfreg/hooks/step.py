@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from typing import Protocol, runtime_checkable
 
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from nerfreg.errors import NoRendererError
@@ -63,6 +63,9 @@ class FieldView(Protocol):
     @property
     def tables(self) -> Sequence[TableLevel]:
         """The levels of the hash grid from the coarsest; empty if another encoder replaced it."""
+
+    def empty(self, positions: Float[Tensor, "points 3"]) -> Bool[Tensor, " points"]:
+        """Return which positions plugins declare empty, (P,)."""
 
     def encode(self, positions: Float[Tensor, "points 3"]) -> Float[Tensor, "points features"]:
         """Return the encoding of positions, with features that are silenced at 0."""

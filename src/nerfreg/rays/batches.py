@@ -11,8 +11,9 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from nerfreg.errors import NerfregError
-from nerfreg.hooks import Needs, Rays
+from nerfreg.hooks import Needs, OccupancyGrid, Rays
 from nerfreg.rays.patches import adjacent_pixels, patch_neighbors, patch_pixels
+from nerfreg.rays.traversal import occupied_runs
 from nerfreg.rays.unseen import poses_between
 from nerfreg.scenes.clipping import clip_to_box
 from nerfreg.scenes.scene import Scene
@@ -172,6 +173,29 @@ class RayBatches:
             },
         )
         return rays if self.device.type == "cpu" else rays.to(self.device)
+
+    def keep_what_meets(self, grid: OccupancyGrid) -> None:
+        """Leave out pixels whose rays meet no occupied cell of a grid: they are empty for certain.
+
+        Args:
+            grid: The cells.
+
+        Raises:
+            NerfregError: No pixel is left.
+        """
+        kept = []
+        for image, view in enumerate(self.views):
+            pixels = self.pixels[self.pixels[:, 0] == image]
+            rays = self.scene.cameras.rays(view.expand(len(pixels)), pixels[:, 1:])
+            bounds = clip_to_box(*rays, self.scene.box, self.scene.near, self.scene.far)
+            met = torch.zeros(len(pixels), dtype=torch.bool)
+            met[occupied_runs(grid, *rays, *bounds).ray] = True
+            kept.append(pixels[met])
+        self.pixels = torch.cat(kept)
+        if len(self.pixels) == 0:
+            raise NerfregError(
+                f"scene {self.scene.name}: plugins declare all space empty that training views see"
+            )
 
     def _patch_count(self, supervised: int, side: int, fraction: float) -> int:
         """Number of patches that make up this share of the rays: at least one."""

@@ -13,6 +13,7 @@ from nerfreg.hooks import (
     ColorSamples,
     DensitySamples,
     EvaluatedView,
+    OccupancyGrid,
     Rays,
     Rendering,
     Samples,
@@ -82,15 +83,33 @@ class SteppingHooks(PluginCaller):
         near, far = answer
         return near, far
 
+    def occupancy(self, step: Step) -> tuple[OccupancyGrid, ...]:
+        """Return the grids outside of whose occupied cells space is declared empty.
+
+        Raises:
+            PluginError: An answer is no grid.
+        """
+        grids: list[OccupancyGrid] = []
+        for name in self._active("nerfreg_occupancy", step):
+            for answer in self._ask("nerfreg_occupancy", (name,), {"step": step}):
+                if not isinstance(answer, OccupancyGrid):
+                    wrong = f"returned {type(answer).__name__}; return an OccupancyGrid"
+                    raise self._error("nerfreg_occupancy", (name,), step, wrong)
+                grids.append(answer)
+        return tuple(grids)
+
     def empty(
         self, positions: Float[Tensor, "points 3"], step: Step
     ) -> Bool[Tensor, " points"] | None:
-        """Return which positions are declared empty; None if no plugin declares any.
+        """Return which positions are declared empty, by functions or by grids; None if none can be.
 
         Raises:
             PluginError: An answer does not have a truth value for each position.
         """
         empty: Tensor | None = None
+        for grid in self.occupancy(step):
+            outside = ~grid.contains(positions)
+            empty = outside if empty is None else empty | outside
         for name in self._active("nerfreg_empty", step):
             given = {"positions": positions, "step": step}
             for answer in self._ask("nerfreg_empty", (name,), given):

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from nerfreg.hooks import Rays
+from nerfreg.hooks import OccupancyGrid, Rays
+from nerfreg.rays.traversal import occupied_runs
 
 
 @dataclass(frozen=True)
@@ -40,6 +41,23 @@ class RayBlocks:
         """Return some of the blocks, by index."""
         origins, directions, near, far, points = (part[blocks] for part in self.parts)
         return RayBlocks(origins, directions, near, far, points, self.view)
+
+    def narrowed(self, cells: OccupancyGrid) -> RayBlocks:
+        """Return blocks whose rays begin and end in occupied cells.
+
+        Rays that meet none have no length, and lie where the first ray of their block begins.
+        """
+        shape = self.near.shape
+        origins, directions, near, far = (part.flatten(0, 1) for part in self.parts[:4])
+        runs = occupied_runs(cells, origins, directions, near, far)
+        begin, end = torch.full_like(near, torch.inf), torch.full_like(near, -torch.inf)
+        begin = begin.scatter_reduce(0, runs.ray, runs.enter, "amin").view(shape)
+        end = end.scatter_reduce(0, runs.ray, runs.leave, "amax").view(shape)
+        first = begin.amin(dim=1, keepdim=True)
+        # A block that meets nothing at all stays where it was.
+        first = torch.where(first.isfinite(), first, self.far.amin(dim=1, keepdim=True))
+        met = end > begin
+        return replace(self, near=torch.where(met, begin, first), far=torch.where(met, end, first))
 
     def to(self, device: torch.device) -> RayBlocks:
         """Return the same blocks on a device."""

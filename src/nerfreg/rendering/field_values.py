@@ -52,6 +52,12 @@ class FieldValues(NamedTuple):
         dense = density.new_zeros(shape.numel()).index_copy(0, places, density)
         return cls(dense.view(shape), raw, rows.view(shape))
 
+    def with_nothing(self, count: int) -> FieldValues:
+        """Return the same with `count` more samples on each ray that have not been evaluated."""
+        density = self.density.new_zeros(len(self.density), count)
+        raw = self.raw.new_zeros(1, self.raw.shape[1])
+        return self.followed_by(FieldValues(density, raw, density.long()))
+
     @property
     def raw_density(self) -> Float[Tensor, "rays samples"]:
         """(R, N) outputs of the density network, before the activation.

@@ -10,7 +10,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from nerfreg.field.radiance_field import RadianceField
-from nerfreg.rays.occupancy import OccupancyGrid
+from nerfreg.hooks.occupancy import OccupancyGrid
 
 EMPTY_THICKNESS = 1e-3
 """Cells with less optical thickness are empty: a row of 128 of them dims a ray by at most 12 %.

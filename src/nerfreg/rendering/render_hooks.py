@@ -10,7 +10,15 @@ from typing import Any, Protocol, runtime_checkable
 import torch
 from torch import Tensor
 
-from nerfreg.hooks import ColorSamples, DensitySamples, Rays, Rendering, Samples, Step
+from nerfreg.hooks import (
+    ColorSamples,
+    DensitySamples,
+    OccupancyGrid,
+    Rays,
+    Rendering,
+    Samples,
+    Step,
+)
 
 
 @runtime_checkable
@@ -22,6 +30,9 @@ class RenderHooks(Protocol):
 
     def ray_bounds(self, rays: Rays, step: Step) -> tuple[Tensor, Tensor]:
         """Return near and far of each ray, (R,) each, in world units."""
+
+    def occupancy(self, step: Step) -> tuple[OccupancyGrid, ...]:
+        """Return the grids outside of whose occupied cells space is declared empty."""
 
     def empty(self, positions: Tensor, step: Step) -> Tensor | None:
         """Return which positions (P, 3) are declared empty, (P,); None: none of them."""
@@ -48,6 +59,7 @@ class EvaluationHooks:
 
     Attributes:
         rays: See `RenderHooks.rays`; so are the others.
+        occupancy: The grids outside of whose occupied cells space is empty.
     """
 
     rays: Callable[[Rays], Rays] | None = None
@@ -56,6 +68,7 @@ class EvaluationHooks:
     density: Callable[[DensitySamples], Tensor] | None = None
     color_input: Callable[[ColorSamples], Tensor | None] | None = None
     rendering: Callable[[Rendering], Rendering] | None = None
+    occupancy: tuple[OccupancyGrid, ...] = ()
 
     @classmethod
     def of(cls, hooks: RenderHooks | None, step: Step | None) -> EvaluationHooks:
@@ -82,10 +95,12 @@ class EvaluationHooks:
             "color_input": hooks.color_input,
             "rendering": hooks.rendering,
         }
+        grids = hooks.occupancy(step)
         return cls(
+            occupancy=grids,
             **{
                 name: partial(call, step=step)
                 for name, call in calls.items()
-                if hooks.changes(f"nerfreg_{name}", step)
-            }
+                if hooks.changes(f"nerfreg_{name}", step) or (name == "empty" and grids)
+            },
         )

@@ -22,9 +22,11 @@ from nerfreg.hooks import (
 )
 from nerfreg.rendering.compositing import assemble, integrate
 from nerfreg.rendering.config import SamplerConfig
+from nerfreg.rendering.emptiness import sampled_runs
 from nerfreg.rendering.field_values import FieldValues
 from nerfreg.rendering.render_hooks import RenderHooks
-from nerfreg.rendering.sampling import edges_between, importance, merge, stratified
+from nerfreg.rendering.sampling import importance
+from nerfreg.rendering.spans import Places, Spans
 from nerfreg.rendering.stepped_field import SteppedField
 
 
@@ -108,40 +110,51 @@ class Renderer:
         return self.field.frozen()
 
     def _sample_and_render(self, rays: Rays, step: Step, density_only: bool) -> Rendering:
-        near, far = self.hooks.ray_bounds(rays, step)
         # The distributions along two rays can be compared sample by sample only if both have the
-        # same t. So one row of t is drawn for each group, over a range that covers all its rays.
-        near, far = _per_group(near, rays.groups, "amin"), _per_group(far, rays.groups, "amax")
+        # same t. So one row of t is drawn for each group, over spans that cover all its rays.
+        shared, groups = self._spans(rays, step), rays.groups
+        spans = shared.per_ray(groups)
         coarse = _per_ray(
-            stratified(near, far, self.sampler.coarse, self.sampler.spacing, step.generator),
-            rays.groups,
+            shared.stratified(self.sampler.coarse, self.sampler.spacing, step.generator), groups
         )
-        ray_near, ray_far = _per_ray(near, rays.groups), _per_ray(far, rays.groups)
-        coarse_samples, places = self._encode(rays, coarse, step)
-        first = self._evaluate(coarse_samples, places, step)
+        coarse_samples, positions = self._encode(rays, coarse, step)
+        first = self._evaluate(coarse_samples, positions, step)
         # Where samples are placed has no gradient, but their values have: the coarse samples are
         # composited with the fine ones, so that the gradient goes through both evaluations.
         with torch.no_grad():
-            edges = edges_between(coarse, ray_near, ray_far)
-            weights = integrate(first.density, edges).weights
+            places = spans.arranged(coarse)
+            weights = integrate(_arranged(first, places).density, places.edges).weights
             fine = importance(
                 # Edges are equal within a group. The smallest is exactly this value, while a mean
                 # would be rounded.
-                _per_group(edges, rays.groups, "amin"),
+                _per_group(places.edges, groups, "amin"),
                 # The mean sees what any ray of the group has hit, so that a surface that only one
                 # of two neighbours meets gets samples on both.
-                _per_group(weights, rays.groups, "mean"),
+                _per_group(weights, groups, "mean"),
                 self.sampler.fine,
                 step.generator,
+                None
+                if places.is_sample is None
+                else _per_group(places.is_sample.to(weights), groups, "amin"),
             )
-            fine = _per_ray(fine, rays.groups)
-            t, order = merge(coarse, fine)
-        fine_samples, places = self._encode(rays, fine, step)
-        both = first.followed_by(self._evaluate(fine_samples, places, step)).ordered(order)
-        directions = _merged_directions(coarse_samples, fine_samples, order)
-        edges = edges_between(t, ray_near, ray_far)
-        color = self._color(rays, t, both, directions, fine_samples, step)
-        return self._composite(rays, t, edges, both, None if density_only else color, step)
+            fine = _per_ray(fine, groups)
+            places = spans.arranged(coarse, fine)
+        fine_samples, positions = self._encode(rays, fine, step)
+        values = first.followed_by(self._evaluate(fine_samples, positions, step))
+        values = _arranged(values, places)
+        directions = _merged_directions(coarse_samples, fine_samples, places)
+        color = self._color(rays, places.t, values, directions, fine_samples, step)
+        return self._composite(
+            rays, places.t, places.edges, values, None if density_only else color, step
+        )
+
+    def _spans(self, rays: Rays, step: Step) -> Spans:
+        """Return where each group of rays is sampled."""
+        near, far = self.hooks.ray_bounds(rays, step)
+        groups = rays.groups
+        whole = _per_group(near, groups, "amin"), _per_group(far, groups, "amax")
+        runs = sampled_runs(self.hooks, rays, near, far, step)
+        return Spans.whole(*whole) if runs is None else Spans.of(runs, groups, *whole)
 
     def _composite(
         self,
@@ -223,9 +236,17 @@ class Renderer:
         return color
 
 
-def _merged_directions(coarse: Samples, fine: Samples, order: Tensor) -> Tensor:
-    """Return (R, 3), or (R, N, 3) in the order of all samples where a plugin made them differ."""
-    if coarse.directions.dim() == fine.directions.dim() == 2:
+def _arranged(values: FieldValues, places: Places) -> FieldValues:
+    """Put values of samples in order, with nothing in the gaps between them."""
+    if places.order is None:
+        return values
+    gaps = places.order.shape[1] - values.density.shape[1]
+    return (values.with_nothing(gaps) if gaps else values).ordered(places.order)
+
+
+def _merged_directions(coarse: Samples, fine: Samples, places: Places) -> Tensor:
+    """Return (R, 3), or (R, M, 3) in the order of all places where a plugin made them differ."""
+    if coarse.directions.dim() == fine.directions.dim() == 2 or places.order is None:
         return fine.directions
     parts = [
         given.directions
@@ -233,7 +254,10 @@ def _merged_directions(coarse: Samples, fine: Samples, order: Tensor) -> Tensor:
         else given.directions[:, None].expand(*given.t.shape, 3)
         for given in (coarse, fine)
     ]
-    return torch.cat(parts, dim=1).gather(1, order[..., None].expand(-1, -1, 3))
+    gaps = places.order.shape[1] - sum(part.shape[1] for part in parts)
+    # Nothing is seen in gaps, from wherever.
+    parts.append(parts[0].new_zeros(len(parts[0]), gaps, 3))
+    return torch.cat(parts, dim=1).gather(1, places.order[..., None].expand(-1, -1, 3))
 
 
 def _per_group(values: Tensor, groups: Tensor | None, reduce: str) -> Tensor:

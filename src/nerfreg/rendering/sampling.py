@@ -66,6 +66,7 @@ def importance(
     weights: Float[Tensor, "rays samples"],
     count: int,
     generator: torch.Generator | None = None,
+    inside: Float[Tensor, "rays samples"] | None = None,
 ) -> Float[Tensor, "rays count"]:
     """Return distances that are distributed as the weights of intervals.
 
@@ -77,13 +78,16 @@ def importance(
         weights: (R, N) nonnegative weights; they need not add up to 1.
         count: Number of distances per ray.
         generator: Draws a position within each part; None: the midpoint of the part.
+        inside: (R, N) 1 for intervals in which there may be distances at all, 0 for others; None:
+            there may be in all of them.
 
     Returns:
         (R, count) ascending distances.
     """
     offsets = _offsets((len(weights), count), weights, generator)
     u = (torch.arange(count, dtype=weights.dtype, device=weights.device) + offsets) / count
-    return _inverse(t_edges, weights, u.expand(len(weights), count).contiguous())[0]
+    floored = weights + PDF_FLOOR if inside is None else (weights + PDF_FLOOR) * inside
+    return _inverse(t_edges, floored, u.expand(len(weights), count).contiguous())[0]
 
 
 def equal_shares(
@@ -101,7 +105,9 @@ def equal_shares(
         the index of the old interval in which each new one begins.
     """
     u = torch.linspace(0, 1, count + 1, dtype=weights.dtype, device=weights.device)
-    borders, bins = _inverse(t_edges, weights, u.expand(len(weights), count + 1).contiguous())
+    borders, bins = _inverse(
+        t_edges, weights + PDF_FLOOR, u.expand(len(weights), count + 1).contiguous()
+    )
     # Where the first or last weights are lost in rounding, the shares 0 and 1 do not lie at the
     # ends of the ray, all of which the intervals have to cover.
     borders[:, 0], borders[:, -1] = t_edges[:, 0], t_edges[:, -1]
@@ -109,20 +115,19 @@ def equal_shares(
 
 
 def merge(
-    first: Float[Tensor, "rays a"], second: Float[Tensor, "rays b"]
+    *distances: Float[Tensor, "rays _"],
 ) -> tuple[Float[Tensor, "rays samples"], Int[Tensor, "rays samples"]]:
-    """Merge two sets of distances.
+    """Merge sets of distances.
 
     Args:
-        first: (R, A) distances.
-        second: (R, B) distances.
+        distances: (R, A), (R, B), ...
 
     Returns:
-        (R, A+B) all distances in ascending order, and (R, A+B) the column of each in
-        `cat([first, second], dim=1)`.
+        (R, A+B+...) all distances in ascending order, and the column of each among the sets one
+        behind the other.
     """
     # Stable, so that the order of equal distances is defined on every device.
-    t, order = torch.cat([first, second], dim=1).sort(dim=1, stable=True)
+    t, order = torch.cat(distances, dim=1).sort(dim=1, stable=True)
     return t, order
 
 
@@ -132,7 +137,7 @@ def _inverse(
     u: Float[Tensor, "rays shares"],
 ) -> tuple[Float[Tensor, "rays shares"], Int[Tensor, "rays shares"]]:
     """Return the t before which the shares u of a ray's weights lie, and the interval of each."""
-    cdf = torch.cumsum(weights + PDF_FLOOR, dim=1)
+    cdf = torch.cumsum(weights, dim=1)
     # Divided by its own last entry, not by a sum of the weights, so that it ends at exactly 1.
     cdf = torch.cat([torch.zeros_like(cdf[:, :1]), cdf], dim=1) / cdf[:, -1:]
     # A share of 1 lies beyond the last entry.

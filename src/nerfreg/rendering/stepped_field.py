@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from nerfreg.field.radiance_field import RadianceField
@@ -32,6 +32,11 @@ class SteppedField:
     def tables(self) -> Sequence[TableLevel]:
         """The levels of the hash grid from the coarsest; empty if another encoder replaced it."""
         return () if self.field.grid is None else self.field.grid.tables
+
+    def empty(self, positions: Float[Tensor, "points 3"]) -> Bool[Tensor, " points"]:
+        """Return which positions plugins declare empty, (P,)."""
+        empty = self.hooks.empty(positions.detach(), self.step)
+        return torch.zeros_like(positions[:, 0], dtype=torch.bool) if empty is None else empty
 
     def encode(self, positions: Float[Tensor, "points 3"]) -> Float[Tensor, "points features"]:
         """Return the encoding of positions, with features that are silenced at 0."""

@@ -20,6 +20,7 @@ from torch.nn import functional
 from nerfreg.field.radiance_field import RadianceField
 from nerfreg.field.workers import in_shares
 from nerfreg.hooks import ColorSamples, DensitySamples, Rays, Samples, Step
+from nerfreg.numerics import MIN_OPACITY
 from nerfreg.rendering.blocks import RayBlocks, pixel_blocks
 from nerfreg.rendering.compositing import assemble, integrate
 from nerfreg.rendering.config import SamplerConfig
@@ -126,7 +127,9 @@ class ViewRenderer:
         pixels = pixel_blocks(rows, columns, side)
         grid = pixels.shape[:2]
         rays = self._rays(cameras, view, pixels, self._training_view(cameras, view))
-        image = self._empty_image(rays)
+        image, box_far = self._empty_image(rays), rays.far
+        for cells in self._hooks.occupancy:
+            rays = rays.narrowed(cells)
         hit = (rays.far > rays.near).any(dim=1).nonzero().squeeze(1)
         rays = rays.to(device)
         scouts = self._scout(rays, hit).shared(grid)
@@ -140,6 +143,9 @@ class ViewRenderer:
         # Each thread takes whole chunks through all operations, instead of PyTorch's threads
         # sharing every operation: 1.4 times as fast on two cores.
         in_shares(len(hit), size, render)
+        if self._hooks.occupancy:
+            # Empty rays end with the box and not with the cells.
+            image[..., 3] = torch.where(image[..., 4] < MIN_OPACITY, box_far, image[..., 3])
         # From blocks to rows of pixels; the repeated ones at the right and bottom are cut off.
         image = image.view(*grid, side, side, 5).transpose(1, 2).flatten(2, 3).flatten(0, 1)
         image = image[: len(rows), : len(columns)]

@@ -83,6 +83,9 @@ class Photographs(SceneInfo):
         points: Sparse points of the scene, `(P, 3)`, in world units; None where there are none.
         point_views: Pairs of numbers, of a training view and of a point that it shows, `(O, 2)`;
             None where that is not known.
+        known_depth: Interval of distance along the rays in which plugins know a surface,
+            `(V, H, W, 2)`, in world units, NaN where they do not; None if none of them knows
+            anything, and as long as they have not been asked.
     """
 
     images: Float[Tensor, "views height width channels"]
@@ -91,6 +94,7 @@ class Photographs(SceneInfo):
     depth: Float[Tensor, "views height width"] | None = None
     points: Float[Tensor, "points 3"] | None = None
     point_views: Int[Tensor, "observations 2"] | None = None
+    known_depth: Float[Tensor, "views height width 2"] | None = None
 
 
 @dataclass(frozen=True)

@@ -106,11 +106,15 @@ class Trainer:
         self.warm_up()
         # What a plugin finds out about the photographs before the first step is training time.
         with self.budget.prepare():
-            self.batches.known_depth = hooks.known_depth(self.batches.photographs)
-            self.batches.data = hooks.prepare(self.batches.photographs)
+            photographs = self.batches.photographs
+            self.batches.known_depth = hooks.known_depth(photographs)
+            photographs = replace(photographs, known_depth=self.batches.known_depth)
+            self.batches.data = hooks.prepare(photographs)
             step = self._step()
             hooks.begin(step)
             hooks.start(step)
+            for grid in hooks.occupancy(step):
+                self.batches.keep_what_meets(grid)
         if self.budget.fraction >= 1:
             raise NerfregError(
                 f"train.seconds={train.seconds:g}: was spent before the first step, because the "

@@ -3,10 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, UInt8
 from torch import Tensor
+from torch.nn import functional
+
+BLOCK = 8
+"""Side, in cells, of the blocks by which rays cross space that is empty or full; a power of 2."""
+
+EMPTY, MIXED, FULL = 0, 1, 2
+"""What the cells of a block are."""
 
 
 @dataclass(frozen=True)
@@ -35,6 +43,23 @@ class OccupancyGrid:
             occupied: (n, n, n) which cells are occupied, by x, y and z.
         """
         return cls(occupied, center - half_side, 2 * half_side / len(occupied))
+
+    @cached_property
+    def blocks(self) -> UInt8[Tensor, "bx by bz"]:
+        """What the cells of each block of 8^3 are: `EMPTY`, `MIXED` or `FULL`.
+
+        Blocks at the end may be smaller.
+        """
+
+        def any_of(cells: Bool[Tensor, "x y z"]) -> Bool[Tensor, "bx by bz"]:
+            # Padded by False, as max pooling of incomplete blocks would.
+            ends = [(0, -n % BLOCK) for n in reversed(cells.shape)]
+            padded = functional.pad(cells, [pad for end in ends for pad in end])
+            x, y, z = (n // BLOCK for n in padded.shape)
+            return padded.view(x, BLOCK, y, BLOCK, z, BLOCK).any(5).any(3).any(1)
+
+        occupied, empty = any_of(self.occupied), any_of(~self.occupied)
+        return torch.where(occupied & empty, MIXED, torch.where(occupied, FULL, EMPTY)).byte()
 
     @property
     def centers(self) -> Float[Tensor, "x y z 3"]:
