@@ -182,7 +182,7 @@ def _grown(mask: Bool[Tensor, "height width"], reach: int) -> Bool[Tensor, "heig
 def _sums(mask: Bool[Tensor, "height width"]) -> Int[Tensor, "rows columns"]:
     """Sums over all pixels above and to the left of each corner."""
     sums: Tensor = functional.pad(mask.int().cumsum(0).cumsum(1), (1, 0, 1, 0))
-    return sums.to(torch.int32)
+    return sums.int()
 
 
 def _within(
