@@ -128,7 +128,7 @@ class PinholeView:
             *((bound.floor().clamp(0, columns)).int() for bound in (low[0], high[0] + 1)),
             *((bound.floor().clamp(0, rows)).int() for bound in (low[1], high[1] + 1)),
         )
-        possible = ahead & (_within(self.covered, *corners) > 0)
+        possible: Tensor = ahead & (_within(self.covered, *corners) > 0)
         # What lies at the plane of the camera cannot be projected; what lies behind is not shown.
         possible |= ~ahead & (depth + half_depth > 0)
         if self.open:
