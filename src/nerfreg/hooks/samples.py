@@ -110,14 +110,16 @@ class Rendering:
 
     Attributes:
         rays: The rays that were rendered.
-        t_edges: (R, N+1) borders of the intervals, ascending.
-        t: (R, N) where the field was evaluated, inside the intervals.
+        t_edges: (R, N+1) borders of the intervals, ascending. A gap, where plugins declare space
+            empty, is an interval of its own, of density 0; the first border and the last are those
+            of what is not empty. Intervals without length fill up rays with fewer gaps than others.
+        t: (R, N) where the field was evaluated, inside the intervals; in a gap, its middle.
         density: (R, N) per world unit.
         tau: (R, N) optical thickness of each interval, density times length.
         log_transmittance: (R, N) logarithm of the light that reaches each interval.
         weights: (R, N) share of each interval in the ray's colour.
         opacity: (R,) sum of weights.
-        depth: (R,) expected distance; `far` for empty rays.
+        depth: (R,) expected distance; the last border for empty rays.
         rgb: (R, 3) with background; NaN where only the density was asked for.
         colored: (R, N) samples whose colour was evaluated (weight above 1e-4).
     """

@@ -21,12 +21,12 @@ from nerfreg.hooks import (
     Step,
 )
 from nerfreg.rendering.compositing import assemble, integrate
-from nerfreg.rendering.config import SamplerConfig
+from nerfreg.rendering.config import SampleCounts, SamplerConfig
 from nerfreg.rendering.emptiness import sampled_runs
 from nerfreg.rendering.field_values import FieldValues
 from nerfreg.rendering.render_hooks import RenderHooks
 from nerfreg.rendering.sampling import importance
-from nerfreg.rendering.spans import Places, Spans
+from nerfreg.rendering.spans import MOST, Places, Spans
 from nerfreg.rendering.stepped_field import SteppedField
 
 
@@ -112,10 +112,10 @@ class Renderer:
     def _sample_and_render(self, rays: Rays, step: Step, density_only: bool) -> Rendering:
         # The distributions along two rays can be compared sample by sample only if both have the
         # same t. So one row of t is drawn for each group, over spans that cover all its rays.
-        shared, groups = self._spans(rays, step), rays.groups
-        spans = shared.per_ray(groups)
+        shared, counts = self._spans(rays, step)
+        groups, spans = rays.groups, shared.per_ray(rays.groups)
         coarse = _per_ray(
-            shared.stratified(self.sampler.coarse, self.sampler.spacing, step.generator), groups
+            shared.stratified(counts.coarse, self.sampler.spacing, step.generator), groups
         )
         coarse_samples, positions = self._encode(rays, coarse, step)
         first = self._evaluate(coarse_samples, positions, step)
@@ -131,7 +131,7 @@ class Renderer:
                 # The mean sees what any ray of the group has hit, so that a surface that only one
                 # of two neighbours meets gets samples on both.
                 _per_group(weights, groups, "mean"),
-                self.sampler.fine,
+                counts.fine,
                 step.generator,
                 None
                 if places.is_sample is None
@@ -148,13 +148,16 @@ class Renderer:
             rays, places.t, places.edges, values, None if density_only else color, step
         )
 
-    def _spans(self, rays: Rays, step: Step) -> Spans:
-        """Return where each group of rays is sampled."""
+    def _spans(self, rays: Rays, step: Step) -> tuple[Spans, SampleCounts]:
+        """Return where each group of rays is sampled, and how often."""
         near, far = self.hooks.ray_bounds(rays, step)
         groups = rays.groups
         whole = _per_group(near, groups, "amin"), _per_group(far, groups, "amax")
         runs = sampled_runs(self.hooks, rays, near, far, step)
-        return Spans.whole(*whole) if runs is None else Spans.of(runs, groups, *whole)
+        if runs is None:
+            return Spans.whole(*whole), self.sampler.counts
+        counts = self.sampler.counts_inside
+        return Spans.of(runs, groups, *whole, most=min(MOST, counts.coarse)), counts
 
     def _composite(
         self,
