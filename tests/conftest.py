@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import json
 import os
 import random
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from importlib.metadata import EntryPoint
+from pathlib import Path
 from typing import ClassVar
 
+import imageio.v3 as iio
 import pytest
 import torch
 from hydra import compose as hydra_compose
@@ -22,7 +25,7 @@ from nerfreg.config.schema import Config, register
 from nerfreg.config.validation import validated
 from nerfreg.hooks import Rays, Rendering, Step
 from nerfreg.registry import Hooks, plugins
-from nerfreg.scenes import Scene, load_scene
+from nerfreg.scenes import Procedural, Scene, load_scene
 from nerfreg.training.guard import Guard
 from nerfreg.training.trainer import Trainer
 
@@ -76,6 +79,29 @@ def compose() -> Callable[..., Config]:
             return validated(hydra_compose("config", overrides=list(overrides)))
 
     return compose
+
+
+@pytest.fixture
+def capture(tmp_path: Path) -> Callable[..., Path]:
+    """Write photographs from all around as a transforms.json; RGBA that is opaque if alpha is 1."""
+
+    def capture(channels: int, alpha: float | None = None) -> Path:
+        scene = Procedural(size=16, views=4, test_views=2).load()
+        folder = tmp_path / "thing"
+        folder.mkdir()
+        frames = []
+        for view in (*scene.train, *scene.test):
+            image = scene.read_image(view)[..., :channels].clone()
+            if alpha is not None:
+                image[..., 3] = alpha
+            iio.imwrite(folder / f"{view}.png", (255 * image).round().to(torch.uint8).numpy())
+            pose = [*scene.cameras.poses[view].tolist(), [0.0, 0.0, 0.0, 1.0]]
+            frames.append({"file_path": f"{view}.png", "transform_matrix": pose})
+        content = {"fl_x": float(scene.cameras.focal[0, 0]), "frames": frames}
+        (folder / "transforms.json").write_text(json.dumps(content), encoding="utf-8")
+        return folder
+
+    return capture
 
 
 @pytest.fixture

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 from hydra.errors import ConfigCompositionException
+from nerfreg_plugins.entropy import RayEntropy
 from omegaconf import DictConfig, OmegaConf
 
 from nerfreg import NerfregError
@@ -16,7 +17,7 @@ from nerfreg.config.saved import read_run
 from nerfreg.config.schema import register
 from nerfreg.config.search_path import options
 from nerfreg.field import FieldConfig
-from nerfreg.scenes import Procedural
+from nerfreg.scenes import Procedural, load_scene
 
 GROUPS = ("field", "sampler", "optim", "eval", "reg")
 SHIPPED = [
@@ -35,8 +36,8 @@ def test_every_shipped_choice_composes(compose, choice: str) -> None:
     "path", sorted((own_folder() / "scene").glob("*.yaml")), ids=lambda path: path.stem
 )
 def test_every_shipped_scene_composes(compose, path: Path) -> None:
-    # a scene without a layout is asked for one, and there are no files here
-    assert compose(f"scene={path.stem}", "++scene.layout=orbit").scene.layout == "orbit"
+    # a scene whose kind nobody names is asked for it, and there are no files here
+    assert compose(f"scene={path.stem}", "++scene.layout=object").scene.layout == "object"
 
 
 @pytest.mark.parametrize(
@@ -54,7 +55,8 @@ def test_the_papers_settings(
     compose, name: str, scene: str, rays: int, steps: int, levels: int
 ) -> None:
     """64 + 128 samples and 2^19 entries to 2048, whatever the photographs could fill."""
-    config = compose(f"+experiment={name}", "+reg=combinerf")
+    kind = {"llff": "forward", "blender": "object"}[scene]  # not found, for there are no files here
+    config = compose(f"+experiment={name}", "+reg=combinerf", f"scene.layout={kind}")
     assert config.scene.format == scene and config.scene.views == {"llff": 3, "blender": 8}[scene]
     assert (config.train.rays, config.train.steps, config.train.seconds) == (rays, steps, None)
     assert (config.sampler.coarse, config.sampler.fine) == (64, 128)
@@ -65,7 +67,10 @@ def test_the_papers_settings(
     )
     assert not config.field.fit
     assert (config.optim.lr, config.optim.decay, config.optim.ema) == (1e-2, 0.1, 0.95)
-    assert compose(f"+experiment={name}", "train.steps=10", "scene.views=6").train.steps == 10
+    again = compose(
+        f"+experiment={name}", "train.steps=10", "scene.views=6", f"scene.layout={kind}"
+    )
+    assert again.train.steps == 10
 
 
 def test_types_are_those_of_the_rooms(compose) -> None:
@@ -79,7 +84,9 @@ def test_types_are_those_of_the_rooms(compose) -> None:
 def test_plugin_defaults_follow_the_layout(compose, selection: str) -> None:
     # DESIGN: 2e-5 for LLFF, which faces forward; 2e-3 for NeRF-Synthetic, which is orbited
     assert compose(f"+reg={selection}", "scene.layout=forward").reg["distortion"].weight == 2e-5
-    assert compose(f"+reg={selection}", "scene.layout=orbit").reg["distortion"].weight == 2e-3
+    for layout in ("orbit", "object", "room"):
+        config = compose(f"+reg={selection}", f"scene.layout={layout}")
+        assert config.reg["distortion"].weight == 2e-3
     override = "reg.distortion.weight=0.5"
     assert (
         compose(f"+reg={selection}", "scene.layout=forward", override).reg["distortion"].weight
@@ -119,6 +126,76 @@ def test_the_sampler_follows_the_layout(compose) -> None:
 def test_layout_that_nobody_names_is_asked_of_the_cameras(compose) -> None:
     # without scene.layout the procedural scene is an orbit
     assert compose("+reg=distortion", "scene.layout=null").reg["distortion"].weight == 2e-3
+
+
+@pytest.fixture
+def by_kind(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Presets `two` and `three`, whose weights depend on the kind of capture."""
+    folder = tmp_path / "conf" / "reg"
+    folder.mkdir(parents=True)
+    for name, values in (("two", "1,2"), ("three", "1,2,3"), ("one", "1"), ("four", "1,2,3,4")):
+        text = f"defaults: [entropy, _self_]\nentropy:\n  weight: ${{by_layout:{values}}}\n"
+        (folder / f"{name}.yaml").write_text(text)
+    monkeypatch.chdir(tmp_path)
+
+
+@pytest.mark.usefixtures("by_kind")
+@pytest.mark.parametrize(
+    ("layout", "two", "three"),
+    [("forward", 1.0, 1.0), ("object", 2.0, 2.0), ("room", 2.0, 3.0)],
+)
+def test_two_values_or_three(compose, layout: str, two: float, three: float) -> None:
+    assert compose("+reg=two", f"scene.layout={layout}").reg["entropy"].weight == two
+    assert compose("+reg=three", f"scene.layout={layout}").reg["entropy"].weight == three
+
+
+@pytest.mark.usefixtures("by_kind")
+@pytest.mark.parametrize("name", ["one", "four"])
+def test_another_number_of_values_is_refused(name: str) -> None:
+    counts = {"one": 1, "four": 4}
+    message = f"^reg.entropy.weight: by_layout takes the values FORWARD,ORBIT or FORWARD,OBJECT,ROOM, not {counts[name]}"
+    with pytest.raises(NerfregError, match=message) as error:
+        compose_in_program([f"+reg={name}"])
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.usefixtures("by_kind")
+@pytest.mark.parametrize("layout", ["null", "orbit"])
+@pytest.mark.parametrize(
+    ("channels", "alpha", "kind", "weight"),
+    [(4, None, "object", 2.0), (3, None, "room", 3.0), (4, 1.0, "room", 3.0)],
+)
+def test_objects_and_rooms_have_their_own_defaults(
+    compose, capture, layout: str, channels: int, alpha: float | None, kind: str, weight: float
+) -> None:
+    path = capture(channels, alpha)
+    config = compose(
+        "+reg=three", "scene=transforms", f"scene.path={path}", f"scene.layout={layout}"
+    )
+    assert (config.scene.layout, config.reg["entropy"].weight) == (kind, weight)
+    assert config.sampler.spacing == "linear" and config.scene.layout_found
+    scene = load_scene(config.scene)
+    assert (scene.layout, scene.layout_found) == (kind, True)
+
+
+def test_a_plugin_may_tell_objects_from_rooms(compose, monkeypatch: pytest.MonkeyPatch) -> None:
+    defaults = {"orbit": {"weight": 2.0, "start": 0.5}, "room": {"weight": 3.0}}
+    monkeypatch.setattr(RayEntropy, "by_layout", defaults)
+    for layout, weight in (("object", 2.0), ("room", 3.0), ("forward", RayEntropy().weight)):
+        plugin = compose("+reg=entropy", f"scene.layout={layout}").reg["entropy"]
+        start = RayEntropy().start if layout == "forward" else 0.5
+        assert (plugin.weight, plugin.start) == (weight, start)
+
+
+def test_a_scene_that_is_not_there_is_named(tmp_path: Path) -> None:
+    missing = tmp_path / "nowhere"
+    for scene, message in (
+        ("scene=blender", "scene.path: not set"),
+        (f"scene.path={missing}", f"scene.path={missing}: no such file or folder"),
+        (f"scene.path={tmp_path}", "transforms_train.json: missing"),
+    ):
+        with pytest.raises(NerfregError, match=message):
+            compose_in_program(["scene=blender", "+reg=distortion", scene])
 
 
 def test_list_keeps_its_order(compose) -> None:
@@ -249,6 +326,18 @@ def test_saved_run_that_cannot_be_read(
 ) -> None:
     with pytest.raises(NerfregError, match=message):
         read_run(saved_run(tmp_path, text), overrides)
+
+
+def test_runs_of_earlier_versions_name_no_kind(tmp_path: Path, capture) -> None:
+    text = f"""
+scene: {{format: transforms, layout: orbit, path: {capture(3)}}}
+field: {{finest: '${{by_layout:2048,1024}}'}}
+reg: {{distortion: {{weight: '${{distortion_by_layout:weight}}'}}}}
+"""
+    config = read_run(saved_run(tmp_path, text))
+    assert (config.scene.layout, config.field.finest) == ("room", 1024)
+    assert config.reg["distortion"].weight == 2e-3
+    assert read_run(tmp_path, ["scene.layout=object"]).scene.layout == "object"
 
 
 def test_no_run(tmp_path: Path) -> None:

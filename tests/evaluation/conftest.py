@@ -40,7 +40,7 @@ def make_scene(
     images: list[Tensor] | None = None,
     depths: list[Tensor] | None = None,
     background: Tensor | None = None,
-    layout: str = "orbit",
+    layout: str = "object",
     near: float = 1.0,
     far: float = 3.0,
 ) -> Scene:

@@ -4,6 +4,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from nerfreg_plugins.entropy import RayEntropy
 
 from nerfreg.config.schema import Config
 from nerfreg.errors import NerfregError
@@ -43,6 +44,18 @@ def test_what_nobody_changed_follows_the_layout(compose: Callable[..., Config]) 
         for layout in ("orbit", "forward")
     )
     assert forward == config.reg["distortion"] and orbit.weight != forward.weight
+
+
+def test_defaults_of_a_room_are_not_written(
+    compose: Callable[..., Config], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    defaults = {"orbit": {"weight": 2.0, "start": 0.5}, "room": {"weight": 3.0}}
+    monkeypatch.setattr(RayEntropy, "by_layout", defaults)
+    for layout, other in (("room", 2.0), ("object", 3.0)):
+        config = compose("+reg=entropy", f"scene.layout={layout}")
+        assert changed_settings(config, "entropy") == {}
+        config = compose("+reg=entropy", f"scene.layout={layout}", f"reg.entropy.weight={other}")
+        assert changed_settings(config, "entropy") == {"weight": other}
 
 
 def test_instances_and_schedules_stay_what_they_are(compose: Callable[..., Config]) -> None:

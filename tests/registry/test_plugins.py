@@ -13,6 +13,7 @@ import pytest
 
 from nerfreg import Needs, Regularizer, Schedule, hookimpl
 from nerfreg.registry import installed, plugins
+from nerfreg.registry.plugin_fields import field_mistake
 from nerfreg.registry.plugins import (
     ADDRESS,
     conflicts_of,
@@ -22,6 +23,15 @@ from nerfreg.registry.plugins import (
     why_not,
     with_changes,
 )
+
+
+@dataclass
+class ByKind(Regularizer):
+    """A plugin that tells all kinds of capture apart."""
+
+    by_layout: ClassVar[dict[str, dict[str, float]]] = {
+        kind: {"weight": 1.0} for kind in ("forward", "object", "room", "orbit")
+    }
 
 
 @dataclass
@@ -168,3 +178,9 @@ def test_a_changed_instance_keeps_name_and_schedule() -> None:
     assert plugin_name("mine", changed) == "constant"
     assert changed.schedules == {"weight": schedule}
     assert vars(with_changes(instance(), end=0.5)).keys() == {"weight", "start", "end"}
+
+
+def test_defaults_may_depend_on_any_kind_of_capture(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert field_mistake(ByKind) == ""
+    monkeypatch.setattr(ByKind, "by_layout", {"rooms": {"weight": 1.0}})
+    assert field_mistake(ByKind) == "ByKind.by_layout names 'rooms'; did you mean 'room'?"

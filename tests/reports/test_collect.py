@@ -156,6 +156,8 @@ def test_no_run_and_no_folder(tmp_path: Path) -> None:
     [
         ({"path": None, "format": "procedural", "layout": "forward"}, "procedural-forward"),
         ({"path": None, "format": "procedural", "layout": None}, "procedural-orbit"),
+        ({"path": None, "format": "procedural", "layout": "orbit"}, "procedural-orbit"),
+        ({"path": None, "format": "procedural", "layout": "object"}, "procedural-orbit"),
         ({"path": "data/mine/transforms.json", "format": "transforms"}, "mine"),
         ({"path": "data/mine/", "format": "transforms"}, "mine"),
     ],

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 import torch
 from nerfreg_plugins.lipschitz import Lipschitz
+from safetensors import safe_open
 from safetensors.torch import save_file
 
 from nerfreg import Schedule, hookimpl
@@ -18,6 +20,7 @@ from nerfreg.registry import Hooks, plugins
 from nerfreg.rendering.renderer import Renderer
 from nerfreg.runs.recording import StepRecorder, load_recording
 from nerfreg.runs.replay import replay
+from nerfreg.scenes import Procedural
 from nerfreg.training.guard import Guard
 from nerfreg.training.loss import loss_terms
 from nerfreg.training.trainer import Trainer
@@ -76,6 +79,32 @@ def test_the_configuration_comes_back_with_its_types(saved: tuple[Trainer, list,
     }
     assert config.seed == 5
     assert config.reg["faint"].schedules == {"weight": Schedule("linear", 0.0, 1e-3)}
+
+
+@pytest.mark.parametrize("written", [True, False])
+@pytest.mark.parametrize(("opaque", "kind"), [(False, "object"), (True, "room")])
+def test_a_step_of_earlier_versions_needs_no_scene(
+    saved: tuple[Trainer, list, Path],
+    monkeypatch: pytest.MonkeyPatch,
+    written: bool,
+    opaque: bool,
+    kind: str,
+) -> None:
+    path = saved[2]
+    with safe_open(path, "pt") as file:
+        metadata = file.metadata()
+        tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+    assert "layout: object" in metadata["config"]
+    metadata["config"] = metadata["config"].replace("layout: object", "layout: orbit")
+    scene = json.loads(metadata["scene"])
+    assert scene.pop("layout") == "object"
+    metadata["scene"] = json.dumps(scene | ({"layout": "orbit"} if written else {}))
+    if opaque:
+        del tensors["rays.background"]
+    save_file(tensors, path, metadata)
+    monkeypatch.setattr(Procedural, "load", lambda self: pytest.fail("the scene was asked for"))
+    recording = load_recording(path)
+    assert (recording.scene.layout, recording.config.scene.layout) == (kind, kind)
 
 
 def test_nothing_else_is_left_in_the_folder(saved: tuple[Trainer, list, Path]) -> None:

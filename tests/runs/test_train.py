@@ -6,6 +6,7 @@ import json
 import os
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import imageio.v3 as iio
@@ -79,6 +80,42 @@ def test_evaluating_the_checkpoint_again_gives_the_same_scores(run: Path) -> Non
     for key in ("psnr", "ssim", "depth_rmse"):
         assert after[key] == pytest.approx(before[key], rel=1e-6)
     assert after["step"] == 20 and after["regularizers"] == before["regularizers"]
+
+
+def test_a_run_of_earlier_versions_is_scored_as_it_was(run: Path) -> None:
+    before = json.loads((run / "results.json").read_text())
+    config = run / ".hydra" / "config.yaml"
+    text = config.read_text()
+    assert "layout: object" in text
+    config.write_text(text.replace("layout: object", "layout: orbit"))
+    assert main(["evaluate", str(run)]) == 0
+    after = json.loads((run / "results.json").read_text())
+    assert after["scene"] == before["scene"] == "procedural-orbit"
+    assert after["psnr"] == pytest.approx(before["psnr"], rel=1e-6)
+    assert after["regularizers"] == before["regularizers"]
+
+
+def test_the_kind_of_capture_is_said_where_it_was_found(
+    capture: Callable[..., Path],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    small = [word for word in SMALL if not word.startswith(("scene.", "train.quiet"))]
+    scene = ["scene=transforms", f"scene.path={capture(3)}", "train.steps=2", "eval.lpips=false"]
+    line = (
+        "thing: room (opaque photographs around a place); "
+        "scene.layout=forward or object overrides\n"
+    )
+    assert main(["train", *small, *scene]) == 0
+    found = capsys.readouterr()
+    assert found.err.count(line) == 1 and "room" not in found.out
+    assert found.err.index(line) < found.err.index("scoring")
+    assert main(["train", *small, *scene, "scene.layout=room"]) == 0
+    assert "room" not in capsys.readouterr().err
+    assert main(["train", *small, *scene, "train.quiet=true"]) == 0
+    assert "room" not in capsys.readouterr().err
 
 
 def test_a_video_along_an_orbit(run: Path) -> None:

@@ -71,24 +71,24 @@ def test_orbit_box_and_its_bounds():
     # radius 4 sin(atan(1/2)) = 4 / sqrt(5).
     cameras = cameras_at([(5, 2, 3), (1, 8, 3), (101, 2, 3)], (1, 2, 3))
     radius = 4 / math.sqrt(5)
-    box = bounds.orbit_box(cameras, (0, 1), has_alpha=True)
+    box = bounds.orbit_box(cameras, (0, 1), 1.0)
     torch.testing.assert_close(
         box, torch.tensor([[1.0, 2, 3], [1.0, 2, 3]]) + torch.tensor([[-radius], [radius]])
     )
     near, far = bounds.bounds_of_box(cameras, (0, 1, 2), box)
     assert near == pytest.approx(4 - radius * math.sqrt(3))
     assert far == pytest.approx(100 + radius * math.sqrt(3))
-    opaque = bounds.orbit_box(cameras, (0, 1), has_alpha=False)
-    assert float(opaque[1, 0] - opaque[0, 0]) == pytest.approx(2 * radius * bounds.OPAQUE_EXTENT)
+    room = bounds.orbit_box(cameras, (0, 1), bounds.ROOM_EXTENT)
+    assert float(room[1, 0] - room[0, 0]) == pytest.approx(2 * radius * 4)
     # That box contains the cameras: rays then begin a twentieth of the way.
-    assert bounds.bounds_of_box(cameras, (0, 1), opaque)[0] == pytest.approx(0.05 * 4)
+    assert bounds.bounds_of_box(cameras, (0, 1), room)[0] == pytest.approx(0.05 * 4)
 
 
 def test_cameras_that_look_away_are_refused():
     cameras = cameras_at([(5, 0, 0), (0, 5, 0)], (0, 0, 0))
     away = replace(cameras, poses=cameras.poses * torch.tensor([-1, 1, -1, 1.0]))
     with pytest.raises(NerfregError, match="do not look at one place"):
-        bounds.orbit_box(away, (0, 1), has_alpha=True)
+        bounds.orbit_box(away, (0, 1), 1.0)
 
 
 def test_frusta_box_and_ray_length():

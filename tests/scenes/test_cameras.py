@@ -96,5 +96,5 @@ def test_photographs_are_those_of_the_training_views() -> None:
     assert (photographs.near, photographs.far, photographs.layout) == (
         scene.near,
         scene.far,
-        "orbit",
+        "object",
     )

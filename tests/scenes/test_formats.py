@@ -21,7 +21,7 @@ def edit(path: Path, **changes: object) -> None:
 
 def test_registry():
     assert list(SCENES) == ["procedural", "blender", "llff", "transforms"]
-    assert load_scene(SCENES["procedural"]()).layout == "orbit"
+    assert load_scene(SCENES["procedural"]()).layout == "object"
 
 
 def test_reduce_weighs_colors_by_alpha():
@@ -60,7 +60,7 @@ def test_blender(blender):
     assert (scene.cameras.width, scene.cameras.height) == (4, 4)
     assert scene.cameras.focal[0].tolist() == pytest.approx([2, 2])
     assert scene.cameras.center[0].tolist() == [2, 2]
-    assert (scene.train, scene.test, scene.layout) == ((0, 1), (2, 3), "orbit")
+    assert (scene.train, scene.test, scene.layout) == ((0, 1), (2, 3), "object")
     assert scene.labels == ("train/r_0", "train/r_1", "test/r_0", "test/r_1")
     # Distance 2, half field 45 degrees: radius sqrt(2); the ball around the box has sqrt(6) and
     # holds the cameras.

@@ -24,7 +24,15 @@ def test_describe(llff):
         assert line in text
 
 
-@pytest.mark.parametrize("layout", ["orbit", "forward"])
+def test_describe_says_what_was_found(llff, transforms):
+    named = describe(LLFF(path=str(llff)).load())
+    assert "layout        forward (photographs side by side)\n" in named
+    found = describe(Transforms(path=str(transforms)).load())
+    line = "forward (photographs side by side); scene.layout=object or room overrides"
+    assert f"scene         {transforms.parent.name}\nlayout        {line}\n" in found
+
+
+@pytest.mark.parametrize("layout", ["object", "forward"])
 @pytest.mark.parametrize("views", [1, 8])
 def test_the_picture_shows_both_kinds_of_cameras(tmp_path, layout, views):
     path = tmp_path / "cameras.png"

@@ -201,6 +201,10 @@ def test_options():
         ({"views": 0}, "scene.views=0"),
         ({"size": 0}, "scene.size=0"),
         ({"layout": "orbits"}, "scene.layout=orbits: unknown; did you mean 'orbit'"),
+        (
+            {"layout": "room"},
+            "scene.layout=room: procedural photographs from all around have alpha",
+        ),
         ({"background": "blue"}, "scene.background=blue"),
         ({"near": 9.0}, "scene.near=9: must be less than scene.far"),
         ({"far": -1.0}, "scene.far=-1.0: must be positive"),

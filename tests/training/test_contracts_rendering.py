@@ -173,7 +173,7 @@ def test_data_of_pixels() -> None:
     )
     box = torch.tensor([[-1.0] * 3, [1.0] * 3])
     photographs = Photographs(
-        cameras=cameras, images=torch.zeros(1, 4, 5, 3), box=box, near=0.1, far=2.0, layout="orbit"
+        cameras=cameras, images=torch.zeros(1, 4, 5, 3), box=box, near=0.1, far=2.0, layout="object"
     )
     assert wrong_prepared(photographs, None) == []
     assert wrong_prepared(photographs, {"rank": torch.zeros(1, 4, 5, 7)}) == []

@@ -54,13 +54,19 @@ def _group(name: str, cls: type) -> list[str]:
 def _split_by_layout(
     values: dict[str, Any],
 ) -> tuple[dict[str, Any], dict[str, dict[str, Any]]]:
-    """Take values such as `${by_layout:FORWARD,ORBIT}` apart."""
+    """Take values such as `${by_layout:FORWARD,ORBIT}` apart; that of objects is the plain one."""
+    from nerfreg.config.schema import VALUES
+
     plain_values: dict[str, Any] = {}
-    by_layout: dict[str, dict[str, Any]] = {"forward": {}}
+    by_layout: dict[str, dict[str, Any]] = {"forward": {}, "room": {}}
     for key, value in values.items():
         if isinstance(value, str) and value.startswith("${by_layout:"):
-            forward, orbit = value.removeprefix("${by_layout:").removesuffix("}").split(",")
-            plain_values[key], by_layout["forward"][key] = orbit, forward
+            given = value.removeprefix("${by_layout:").removesuffix("}").split(",")
+            named = dict(zip(VALUES[len(given)], given, strict=True))
+            plain_values[key] = named.get("object", named.get("orbit"))
+            for layout, defaults in by_layout.items():
+                if layout in named:
+                    defaults[key] = named[layout]
         else:
             plain_values[key] = value
     return plain_values, by_layout

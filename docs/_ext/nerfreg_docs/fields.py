@@ -26,7 +26,7 @@ def fields_table(
         prefix: What stands before the name of a field in a key, such as "train.".
         cls: The dataclass; its `Attributes:` and those of its bases tell the meaning.
         values: Defaults that a file of `conf` sets, where they differ from the class.
-        by_layout: Defaults by camera layout.
+        by_layout: Defaults by kind of capture.
         only: Names of the fields to list; None lists all.
     """
     meanings, hints = attributes(cls), get_type_hints(cls)
@@ -68,7 +68,7 @@ def default_text(
     values: Mapping[str, Any],
     by_layout: Mapping[str, Mapping[str, Any]],
 ) -> str:
-    """The default of a field, followed by what it is for layouts that differ."""
+    """The default of a field, followed by what it is for kinds of capture that differ."""
     parts = [code(yaml_value(values.get(field.name, _default(field))))]
     for layout, defaults in by_layout.items():
         if field.name in defaults:

@@ -127,7 +127,9 @@ def _causes(error: BaseException | None) -> Iterator[BaseException]:
 
 
 def _first_line(error: BaseException) -> str:
-    return str(error).strip().partition("\n")[0].rstrip(".")
+    # What a resolver of ours refuses explains itself.
+    text = str(error).strip().removeprefix("NerfregError raised while resolving interpolation: ")
+    return text.partition("\n")[0].rstrip(".")
 
 
 def _where(error: BaseException) -> str:

@@ -12,6 +12,7 @@ from omegaconf import DictConfig, OmegaConf, StringNode
 from nerfreg.config.nodes import ChoiceNode, NumberNode
 from nerfreg.hooks import Regularizer
 from nerfreg.registry.plugin_fields import PLUGIN_KEY, schedulable_fields
+from nerfreg.scenes.layouts import defaults_of
 
 
 def plugin_schema(address: str, cls: type[Regularizer]) -> DictConfig:
@@ -28,8 +29,8 @@ def plugin_schema(address: str, cls: type[Regularizer]) -> DictConfig:
     assert isinstance(defaults, dict)
 
     def by_layout(key: str, *, _root_: DictConfig) -> Any:
-        layout = OmegaConf.select(_root_, "scene.layout", default="")
-        return cls.by_layout.get(layout, {}).get(key, defaults[key])
+        layout = OmegaConf.select(_root_, "scene.layout", default=None)
+        return defaults_of(layout, cls.by_layout).get(key, defaults[key])
 
     resolver = f"{re.sub(r'[^0-9A-Za-z]+', '_', address)}_by_layout"
     OmegaConf.register_new_resolver(resolver, by_layout, replace=True)

@@ -16,12 +16,17 @@ from omegaconf import DictConfig, OmegaConf
 from nerfreg.config.naming import run_name
 from nerfreg.config.plugin_store import store_plugins
 from nerfreg.config.search_path import SCHEMA, register_search_path
+from nerfreg.errors import NerfregError
 from nerfreg.evaluation.config import EvalConfig
 from nerfreg.field.config import FieldConfig
 from nerfreg.registry import PluginInfo, installed
 from nerfreg.rendering.config import SamplerConfig
 from nerfreg.scenes import SCENES
+from nerfreg.scenes.layouts import FORWARD, KINDS, ORBIT, defaults_of
 from nerfreg.training.config import OptimConfig, TrainConfig
+
+VALUES = {2: (FORWARD, ORBIT), 3: tuple(KINDS)}
+"""For which kinds of capture the values of `${by_layout:...}` stand, by their number."""
 
 
 @dataclass
@@ -77,9 +82,16 @@ def scene_schema(name: str) -> Any:
     return dataclasses.make_dataclass(cls.__name__, [("format", str, name)], bases=(cls,))
 
 
-def _by_layout(forward: Any, orbit: Any, *, _root_: DictConfig) -> Any:
-    """`${by_layout:FORWARD,ORBIT}` in a preset: a value that depends on how the cameras stand.
+def _by_layout(*values: Any, _root_: DictConfig) -> Any:
+    """A value in a preset that depends on the kind of capture.
 
-    It is FORWARD as long as the layout is not known.
+    It is written `${by_layout:FORWARD,ORBIT}`, where ORBIT is for objects and rooms, or
+    `${by_layout:FORWARD,OBJECT,ROOM}`. It is FORWARD as long as the kind is not known.
     """
-    return orbit if OmegaConf.select(_root_, "scene.layout", default=None) == "orbit" else forward
+    names = VALUES.get(len(values))
+    if names is None:
+        forms = " or ".join(",".join(map(str.upper, names)) for names in VALUES.values())
+        raise NerfregError(f"by_layout takes the values {forms}, not {len(values)} of them")
+    own = {name: {"value": value} for name, value in zip(names, values, strict=True)}
+    layout = OmegaConf.select(_root_, "scene.layout", default=None)
+    return defaults_of(layout, own).get("value", values[0])

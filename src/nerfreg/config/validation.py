@@ -16,12 +16,14 @@ from nerfreg.registry import Hooks
 from nerfreg.registry.plugin_fields import PLUGIN_KEY
 from nerfreg.registry.plugins import find_plugin
 from nerfreg.scenes import SCENES, SceneConfig, load_scene
+from nerfreg.scenes.layouts import ORBIT
 
 
 def validated(node: DictConfig) -> Config:
     """Return the composed configuration as dataclasses.
 
-    Where nobody has named the layout, on which defaults may depend, it is found from the cameras.
+    Where nobody has named the kind of capture, on which defaults may depend, it is found from
+    cameras and images, and `scene.layout` of what is returned holds it.
 
     Raises:
         NerfregError: A part is not what its schema says, or two plugins cannot work together.
@@ -34,8 +36,10 @@ def validated(node: DictConfig) -> Config:
         )
     _refuse_unselected(node)
     node = deepcopy(node)
-    if scene.layout is None:
-        node.scene.layout = load_scene(scene).layout
+    found = scene.layout in (None, ORBIT)
+    if found:
+        loaded = load_scene(scene)
+        node.scene.layout, found = loaded.layout, loaded.layout_found
     plugins = {str(name): make_plugin(str(name), node.reg[name]) for name in node.reg}
     node.reg = {}
     config = OmegaConf.to_object(node)
@@ -44,6 +48,8 @@ def validated(node: DictConfig) -> Config:
             "the configuration has no schema; begin its defaults list with `- schema`"
         )
     config.reg = plugins
+    # On the instance, since it is no key.
+    vars(config.scene)["layout_found"] = found
     Hooks(config.reg)  # refuses what cannot work together before anything is read
     return config
 

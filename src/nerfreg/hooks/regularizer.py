@@ -45,8 +45,9 @@ class Regularizer:
 
     Class variables are no configuration. All of them are optional:
 
-    - `by_layout` maps a camera layout ("orbit" or "forward") to defaults that differ there, such as
-      `{"forward": {"weight": 2e-5}}`; they hold wherever the user says nothing.
+    - `by_layout` maps a kind of capture ("forward", "object", "room", or "orbit" for both of these)
+      to defaults that differ there, such as `{"forward": {"weight": 2e-5}}`; they hold wherever the
+      user says nothing.
     - `conflicts` names plugins that cannot be active in the same run.
     - `cite` gives the sources for `nerfreg cite`: BibTeX text, or keys, separated by commas, of
       entries in a file `references.bib` in the package of the plugin's module or the closest parent

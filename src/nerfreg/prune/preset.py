@@ -19,6 +19,7 @@ from nerfreg.prune.plan import Selection
 from nerfreg.registry import installed
 from nerfreg.registry.plugin_fields import PLUGIN_KEY
 from nerfreg.registry.plugins import plugin_name
+from nerfreg.scenes.layouts import defaults_of
 
 MARK = "# What `nerfreg prune` leaves"
 """How the file begins; one that begins otherwise is the user's own and is not overwritten."""
@@ -68,9 +69,9 @@ def write_preset(path: Path, config: Config, kept: Selection, comments: Sequence
 
 
 def changed_settings(config: Config, name: str) -> dict[str, Any]:
-    """Return the fields of a plugin that differ from its defaults for the layout of the scene."""
+    """Return the fields of a plugin that differ from its defaults for the kind of capture."""
     cls = type(config.reg[name])
-    plugins = config.reg[name], cls(**cls.by_layout.get(config.scene.layout or "", {}))
+    plugins = config.reg[name], cls(**defaults_of(config.scene.layout, cls.by_layout))
     own, defaults = (saved_settings(name, plugin) for plugin in plugins)
     # Which plugin it is stands among the defaults of the preset.
     del own[PLUGIN_KEY]

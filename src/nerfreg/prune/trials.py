@@ -79,7 +79,7 @@ class Trials:
 
     def _trainer(self, trial: Trial) -> Trainer:
         config, held_out = self._config, list(trial.held_out)
-        # Judged by its own training cameras, a cell might have another layout than the next.
+        # Judged by its own training cameras, a cell might be of another kind than the next.
         cell = replace(config.scene, held_out=held_out, layout=self.scene.layout)
         scene = replace(load_scene(cell), read_image=self._read_image, read_depth=None)
         plugins = {

@@ -301,7 +301,7 @@ class RayBatches:
         other = (chosen + 1 + torch.randint(max(views - 1, 1), (count,), generator=cpu)) % views
         first, second = cameras.poses[self.views[chosen]], cameras.poses[self.views[other]]
         # The box is the cube around the point that the cameras of an orbit look at.
-        center = self.scene.box.mean(dim=0) if self.scene.layout == "orbit" else None
+        center = self.scene.box.mean(dim=0) if self.scene.around else None
         return poses_between(first, second, torch.rand(count, generator=cpu), center), chosen
 
 

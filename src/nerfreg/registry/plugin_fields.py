@@ -13,6 +13,7 @@ from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 
 from nerfreg.errors import nearest
 from nerfreg.hooks import Regularizer
+from nerfreg.scenes.layouts import LAYOUTS
 
 PLUGIN_KEY = "plugin"
 """Key of a plugin's configuration that says which plugin it is; no field may have this name."""
@@ -25,7 +26,6 @@ INSTEAD = {
     object: "Any",
 }
 """What to write in place of types that come close."""
-LAYOUTS = ("orbit", "forward")
 TYPO = 0.75
 """Share of letters from which a name is taken for a misspelt `weight`."""
 

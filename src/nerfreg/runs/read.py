@@ -17,6 +17,7 @@ import yaml
 from nerfreg.runs import records
 from nerfreg.runs.files import FAILED, METRICS, RECORDED_STEPS, RENDERS, RESULTS
 from nerfreg.runs.records import EvaluationRecord, RunRecord
+from nerfreg.scenes.layouts import FORWARD, ORBIT, stands_around
 
 CONFIG, OVERRIDES = Path(".hydra", "config.yaml"), Path(".hydra", "overrides.yaml")
 OTHER_VERB = "cameras.png"
@@ -124,8 +125,8 @@ def _scene_name(settings: Mapping[str, Any]) -> str:
     if path:
         found = Path(str(path))
         return (found.parent if found.suffix == ".json" else found).name or form
-    layout = settings.get("scene.layout") or "orbit"
-    return f"{form}-{layout}" if form == "procedural" else form
+    around = stands_around(settings.get("scene.layout") or ORBIT)
+    return f"{form}-{ORBIT if around else FORWARD}" if form == "procedural" else form
 
 
 def _views(results: Mapping[str, Any], settings: Mapping[str, Any]) -> int:

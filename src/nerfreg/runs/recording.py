@@ -29,6 +29,7 @@ from nerfreg.hooks import Rays, Step
 from nerfreg.rays.batch import Batch
 from nerfreg.runs.files import RECORDED_STEPS
 from nerfreg.scenes.cameras import Cameras
+from nerfreg.scenes.layouts import OBJECT, ORBIT, ROOM
 from nerfreg.scenes.scene import SceneInfo
 from nerfreg.training.faults import Fault
 from nerfreg.training.plugin_state import packed, unpacked
@@ -182,7 +183,14 @@ def load_recording(path: Path) -> Recording:
     parts: dict[str, Any] = {part.name: tensors.get(f"rays.{part.name}") for part in fields(Rays)}
     parts["data"] = _below(tensors, "rays.data.")
     low, high = step["bounds"]
-    scene = _scene(tensors, json.loads(metadata.get("scene", "{}")), (low, high))
+    known = json.loads(metadata.get("scene", "{}"))
+    known.setdefault("layout", OmegaConf.select(saved, "scene.layout") or ORBIT)
+    if known["layout"] == ORBIT:
+        # Written when objects and rooms were one kind. Rays have a background where there is alpha.
+        known["layout"] = ROOM if parts["background"] is None else OBJECT
+    scene = _scene(tensors, known, (low, high))
+    # Otherwise the scene, which need not be here, would be asked for its kind.
+    saved.scene.layout = scene.layout
     generator = torch.Generator()
     generator.set_state(tensors["chance"])
     position = (step["index"], step["total"], step["fraction"])
@@ -214,7 +222,7 @@ def _scene(
         box=tensors["box"],
         near=known.get("near", bounds[0]),
         far=known.get("far", bounds[1]),
-        layout=known.get("layout", "orbit"),
+        layout=known["layout"],
         name=known.get("name", ""),
         labels=tuple(known.get("labels", ())),
     )

@@ -22,6 +22,7 @@ from nerfreg.runs.pictures import saving, strided
 from nerfreg.runs.recording import StepRecorder
 from nerfreg.runs.results import description, evaluation_record, losses, summary
 from nerfreg.scenes import load_scene
+from nerfreg.scenes.layouts import said
 from nerfreg.training.checked_hooks import CheckedHooks
 from nerfreg.training.checkpoint import State, save_checkpoint
 from nerfreg.training.guard import Guard
@@ -54,6 +55,8 @@ def train(config: Config, folder: Path) -> dict[str, Any]:
     config = replace(config, field=fitted(config.field, scene))
     lpips = load_lpips(config.eval.lpips_weights) if config.eval.lpips else None
     progress = Progress(config.train.quiet)
+    if scene.layout_found:
+        progress.message(said(scene.name, scene.layout))
     device = prepare(config)
     hooks = (
         CheckedHooks(config.reg, config.train.check_every)

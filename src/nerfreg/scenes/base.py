@@ -6,19 +6,18 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
 from nerfreg.errors import NerfregError
-from nerfreg.scenes import bounds, splits
+from nerfreg.scenes import bounds, layouts, splits
 from nerfreg.scenes.cameras import Cameras
 from nerfreg.scenes.checks import check_choice
 from nerfreg.scenes.scene import Scene
 
-LAYOUTS = ("orbit", "forward")
 BACKGROUNDS = {"white": 1.0, "black": 0.0}
 """Backgrounds by name, as the value of all three channels."""
 
@@ -39,7 +38,9 @@ class SceneConfig:
         held_out: Positions among the training views (0 is the first) of those that are left out of
             training and scored in place of the test views, which are then not even read. For
             choices that must not depend on a test view.
-        layout: How the cameras are placed, "orbit" (around an object) or "forward" (side by side).
+        layout: The kind of capture, on which defaults depend: "forward" (cameras side by side),
+            "object" (around an object, with known silhouettes) or "room" (opaque photographs around
+            a place). "orbit" is an object or a room, by whether the images show silhouettes.
         background: "white" or "black", behind images with alpha.
         near: Where rays begin, in world units.
         far: Where rays end, in world units.
@@ -58,6 +59,10 @@ class SceneConfig:
     far: float | None = None
     # Not list[list[float]]: OmegaConf does not turn the integers of a nested list into floats.
     box: list[Any] | None = None
+
+    # No key: validation, which writes the kind that it has found into `layout`, sets this on the
+    # instance.
+    layout_found: ClassVar[bool] = False
 
     def load(self) -> Scene:
         """Read everything but the images.
@@ -132,7 +137,7 @@ def assemble(
         labels: A name for each view, for messages and files.
         read_image: Reads the image of a view, in [0, 1].
         has_alpha: Whether the images have an alpha channel.
-        layout: The usual layout of the format; None to look at the cameras.
+        layout: How the cameras of the format stand, "orbit" or "forward"; None to look at them.
         depths: Least and greatest depth seen from the training cameras; None if unknown.
         read_depth: Returns the true distance along the rays of a view; None if unknown.
         folder: The scene's folder; None for a scene that is not read from files.
@@ -147,12 +152,15 @@ def assemble(
     """
     check_choice("scene.background", config.background, tuple(BACKGROUNDS))
     if config.layout is not None:
-        check_choice("scene.layout", config.layout, LAYOUTS)
+        check_choice("scene.layout", config.layout, layouts.LAYOUTS)
     layout = config.layout or layout or bounds.find_layout(cameras, split.train)
-    box, near, far = _place(config, cameras, split, layout, has_alpha, depths)
+    if layout == layouts.ORBIT:
+        layout = layouts.kind_of_orbit(has_alpha, split.train, read_image)
+    box, near, far = _place(config, cameras, split, layout, depths)
     return Scene(
         name=name,
         layout=layout,
+        layout_found=config.layout_found or layout != config.layout,
         cameras=cameras,
         train=split.train,
         test=split.test,
@@ -174,7 +182,6 @@ def _place(
     cameras: Cameras,
     split: splits.Split,
     layout: str,
-    has_alpha: bool,
     depths: tuple[float, float] | None,
 ) -> tuple[Float[Tensor, "2 3"], float, float]:
     """Box, near and far: the box covers what the training views see, the bounds reach all of it."""
@@ -182,9 +189,12 @@ def _place(
     for key, value in (("near", config.near), ("far", config.far)):
         if value is not None and not (value > 0 and math.isfinite(value)):
             raise NerfregError(f"scene.{key}={value}: must be positive and finite")
-    if layout == "orbit":
+    if layouts.stands_around(layout):
         if box is None:
-            box = bounds.orbit_box(cameras, split.train, has_alpha)
+            # By the kind and not by the alpha channel: who calls opaque photographs an object says
+            # that there is nothing around it.
+            extent = bounds.ROOM_EXTENT if layout == layouts.ROOM else 1.0
+            box = bounds.orbit_box(cameras, split.train, extent)
         # Rays of the test cameras must reach the box, too, and these may stand nearer or farther.
         # The box itself depends on the training views alone.
         near, far = bounds.bounds_of_box(cameras, (*split.train, *split.test), box)

@@ -38,7 +38,6 @@ class Blender(SceneConfig):
         factor: How many times smaller to make the images.
     """
 
-    layout: str | None = "orbit"
     factor: int = 2
 
     def load(self) -> Scene:

@@ -12,8 +12,8 @@ from torch import Tensor
 from nerfreg.errors import NerfregError
 from nerfreg.scenes.cameras import Cameras
 
-OPAQUE_EXTENT = 4.0
-"""How much larger the box of an orbit is for opaque photographs than the cube that all cameras see.
+ROOM_EXTENT = 4.0
+"""How much larger the box of a room is than that of an object, the cube that all cameras see.
 Around an object with alpha there is nothing, but in a photograph there are its surroundings. Four
 times puts the usual camera (20 degrees of half field of view, so about 3 radii away) inside."""
 
@@ -74,17 +74,17 @@ def look_at_point(
     return point.float()
 
 
-def orbit_box(cameras: Cameras, views: Sequence[int], has_alpha: bool) -> Float[Tensor, "2 3"]:
+def orbit_box(cameras: Cameras, views: Sequence[int], extent: float) -> Float[Tensor, "2 3"]:
     """Compute the cube around the largest ball that every view shows whole.
 
     Its centre is the point that the cameras look at. Its half side is the minimum over the cameras
-    of distance times sine of the narrowest half field of view, times `OPAQUE_EXTENT` for opaque
-    images.
+    of distance times sine of the narrowest half field of view, times `extent`.
 
     Args:
         cameras: The cameras.
         views: The training views.
-        has_alpha: Whether the images have an alpha channel.
+        extent: How many times larger than that ball the cube is: 1 for an object, `ROOM_EXTENT` for
+            a room.
 
     Returns:
         Lower and upper corner.
@@ -99,7 +99,7 @@ def orbit_box(cameras: Cameras, views: Sequence[int], has_alpha: bool) -> Float[
     # The sine and not the tangent: a ball touches the sides of the field of view, not the image
     # plane.
     radius = (distances * half_fields.sin()).min()
-    half_side = radius * (1.0 if has_alpha else OPAQUE_EXTENT)
+    half_side = radius * extent
     return torch.stack((center - half_side, center + half_side))
 
 

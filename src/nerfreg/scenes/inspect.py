@@ -12,7 +12,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from nerfreg.errors import NerfregError
-from nerfreg.scenes import bounds
+from nerfreg.scenes import bounds, layouts
 from nerfreg.scenes.scene import Scene
 
 if TYPE_CHECKING:
@@ -43,7 +43,8 @@ def describe(scene: Scene) -> str:
     if scene.background is not None:
         background = f"{_numbers(scene.background)} behind the alpha channel"
     lines = [
-        ("scene", f"{scene.name}, {scene.layout} layout"),
+        ("scene", scene.name),
+        ("layout", _layout(scene)),
         ("images", f"{len(cameras)} known, {cameras.width} x {cameras.height} pixels"),
         ("background", background),
         ("focal length", f"{_range(focal[:, 0])} x {_range(focal[:, 1])} pixels"),
@@ -128,13 +129,9 @@ def _views_of_world(scene: Scene) -> tuple[_Projection, _Projection]:
     up = int(upward.abs().argmax())
     up_sign = 1.0 if upward[up] > 0 else -1.0
     first, second = (axis for axis in range(3) if axis != up)
-    ahead = (
-        first
-        if scene.layout == "forward" and abs(forward[first]) > abs(forward[second])
-        else second
-    )
+    ahead = first if not scene.around and abs(forward[first]) > abs(forward[second]) else second
     across = first if ahead == second else second
-    ahead_sign = -1.0 if scene.layout == "forward" and forward[ahead] < 0 else 1.0
+    ahead_sign = -1.0 if not scene.around and forward[ahead] < 0 else 1.0
     # So that the view from above is no mirror image: right x ahead = up must hold.
     cycle = 1.0 if (across + 1) % 3 == ahead else -1.0
     across_sign = cycle * ahead_sign * up_sign
@@ -157,13 +154,13 @@ def _draw_panel(axes: Axes, scene: Scene, projection: _Projection) -> None:
     positions = projection(scene.cameras.positions[[*scene.train, *scene.test]])
     extent = float((np.maximum(high, positions.max(0)) - np.minimum(low, positions.min(0))).max())
     shown = [low, high, *positions]
-    if scene.layout == "orbit" or len(scene.train) > 1:
+    if scene.around or len(scene.train) > 1:
         point = projection(bounds.look_at_point(scene.cameras, scene.train)[None])[0]
         axes.scatter(
             point[0], point[1], marker="+", s=90, color=POINT_COLOR, label="look-at point", zorder=4
         )
         shown.append(point)
-    if scene.layout == "orbit":
+    if scene.around:
         shown += _draw_frusta(axes, scene, projection, 0.09 * extent)
     else:
         _draw_frusta(axes, scene, projection, 0.04 * extent)
@@ -238,6 +235,12 @@ def _frame_panel(axes: Axes, shown: Float[np.ndarray, "points 2"], projection: _
     axes.set_xlim(*((left, right) if projection.right_sign > 0 else (right, left)))
     axes.set_ylim(*((bottom, top) if projection.up_sign > 0 else (top, bottom)))
     axes.set_aspect("equal")
+
+
+def _layout(scene: Scene) -> str:
+    # Without the name, with which the line begins where it stands alone.
+    line = layouts.said(scene.name, scene.layout).removeprefix(f"{scene.name}: ")
+    return line if scene.layout_found else line.partition(";")[0]
 
 
 def _numbers(values: Tensor) -> str:

@@ -12,9 +12,10 @@ from jaxtyping import Float
 from torch import Tensor
 
 from nerfreg.errors import NerfregError
-from nerfreg.scenes.base import LAYOUTS, SceneConfig, assemble
+from nerfreg.scenes.base import SceneConfig, assemble
 from nerfreg.scenes.cameras import Cameras
 from nerfreg.scenes.checks import check_choice
+from nerfreg.scenes.layouts import FORWARD, LAYOUTS, OBJECT, ORBIT, ROOM
 from nerfreg.scenes.poses import look_at
 from nerfreg.scenes.procedural_solids import depth, depth_range, make_tracer, render
 from nerfreg.scenes.scene import Scene
@@ -50,7 +51,7 @@ class Procedural(SceneConfig):
     """
 
     views: int | None = 8
-    layout: str | None = "orbit"
+    layout: str | None = OBJECT
     size: int = 128
     height: int | None = None
     test_views: int = 8
@@ -58,24 +59,24 @@ class Procedural(SceneConfig):
 
     def load(self) -> Scene:
         """Place cameras and solids. Images are rendered when they are first read, and kept."""
-        # None is allowed for all formats; cameras that are made here have nothing to tell a layout
-        # by.
-        layout = check_choice("scene.layout", self.layout or "orbit", LAYOUTS)
+        layout = self._kind()
+        around = layout != FORWARD
         cameras, split = self._cameras(layout)
         kept = self.after_holding_out(split)
         tracer = make_tracer(layout, self.seed)
 
         @cache
         def read_image(view: int) -> Tensor:
-            return render(tracer, cameras, view, has_alpha=layout == "orbit")
+            return render(tracer, cameras, view, has_alpha=around)
 
         @cache
         def read_depth(view: int) -> Tensor:
             return depth(tracer, cameras, view)
 
         return assemble(
-            self,
-            name=f"procedural-{layout}",
+            replace(self, layout=layout),
+            # Folders, presets and tables of earlier runs have this name.
+            name=f"procedural-{ORBIT if around else FORWARD}",
             cameras=cameras,
             split=kept,
             labels=[
@@ -83,11 +84,21 @@ class Procedural(SceneConfig):
                 for view in range(len(cameras))
             ],
             read_image=read_image,
-            has_alpha=layout == "orbit",
-            layout=layout,
-            depths=depth_range(tracer, cameras, kept.train) if layout == "forward" else None,
+            has_alpha=around,
+            depths=None if around else depth_range(tracer, cameras, kept.train),
             read_depth=read_depth,
         )
+
+    def _kind(self) -> str:
+        # None is allowed for all formats; cameras that are made here have nothing to tell a layout
+        # by.
+        layout = check_choice("scene.layout", self.layout or OBJECT, LAYOUTS)
+        if layout == ROOM:
+            raise NerfregError(
+                f"scene.layout={ROOM}: procedural photographs from all around have alpha; "
+                f"choose {OBJECT} or {FORWARD}"
+            )
+        return OBJECT if layout == ORBIT else layout
 
     def _cameras(self, layout: str) -> tuple[Cameras, Split]:
         views = 8 if self.views is None else self.views
@@ -100,7 +111,7 @@ class Procedural(SceneConfig):
         ):
             if value < 1:
                 raise NerfregError(f"scene.{key}={value}: must be at least 1")
-        place = orbit_positions if layout == "orbit" else forward_positions
+        place = forward_positions if layout == FORWARD else orbit_positions
         positions = np.concatenate((place(views, False), place(self.test_views, True)))
         # Poses are made in double and rounded once, so that they are orthonormal to the last digit.
         up = torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64)

@@ -13,6 +13,7 @@ from torch import Tensor
 
 from nerfreg.scenes.cameras import Cameras
 from nerfreg.scenes.images import reduce
+from nerfreg.scenes.layouts import stands_around
 from nerfreg.scenes.solids import BOX, CYLINDER, SPHERE, RayTracer, Solid, Texture
 
 SUPERSAMPLES = 2
@@ -20,10 +21,10 @@ SUPERSAMPLES = 2
 
 
 def make_tracer(layout: str, seed: int) -> RayTracer:
-    """Place the solids on a round plate for an orbit, else on a floor in front of a wall.
+    """Place the solids on a round plate, or on a floor in front of a wall for "forward".
 
     Args:
-        layout: "orbit" or "forward".
+        layout: The kind of capture, "object" or "forward".
         seed: Seed of colours and textures.
 
     Returns:
@@ -69,7 +70,7 @@ def make_tracer(layout: str, seed: int) -> RayTracer:
         ),
         Solid(BOX, (0.42, 0.30, 0.35), (0.15, 0.15, 0.15), texture("marble", 5, 0.5), rotation=1.1),
     ]
-    if layout == "orbit":
+    if stands_around(layout):
         solids.append(
             Solid(
                 CYLINDER,

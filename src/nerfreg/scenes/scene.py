@@ -14,6 +14,7 @@ from torch import Tensor
 
 from nerfreg.scenes.cameras import Cameras
 from nerfreg.scenes.clipping import clip_to_box
+from nerfreg.scenes.layouts import stands_around
 
 T = TypeVar("T")
 
@@ -27,7 +28,7 @@ class SceneInfo:
         box: Lower and upper corner of the modelled space, `(2, 3)`, in world units.
         near: Where rays begin, in world units.
         far: Where rays end, in world units.
-        layout: How the cameras are placed, "orbit" (around an object) or "forward" (side by side).
+        layout: The kind of capture: "forward", "object" or "room" (`nerfreg.scenes.layouts`).
         name: Name of the scene.
         folder: The scene's folder; None for a scene that is not read from files.
         labels: A name for each training view; empty if they have none.
@@ -50,6 +51,11 @@ class SceneInfo:
     def center(self) -> Float[Tensor, " 3"]:
         """Centre of the box, `(3,)`."""
         return self.box.mean(dim=0)
+
+    @property
+    def around(self) -> bool:
+        """Whether the cameras stand around what they show, and not side by side."""
+        return stands_around(self.layout)
 
     @property
     def half_box(self) -> float:
@@ -103,7 +109,7 @@ class Scene:
 
     Attributes:
         name: Name of the scene.
-        layout: How the cameras are placed, "orbit" (around an object) or "forward" (side by side).
+        layout: The kind of capture: "forward", "object" or "room" (`nerfreg.scenes.layouts`).
         cameras: The cameras of all views; view numbers index them.
         train: Numbers of the training views.
         test: Numbers of the test views.
@@ -120,6 +126,7 @@ class Scene:
         labels: A name for each view, for messages and files.
         folder: The scene's folder; None for a scene that is not read from files.
         paths: The image file of each view; empty for a scene that is not read from files.
+        layout_found: Whether `layout` was found in cameras and images, and not named by the user.
     """
 
     name: str
@@ -137,6 +144,12 @@ class Scene:
     labels: tuple[str, ...] = ()
     folder: Path | None = None
     paths: tuple[Path, ...] = ()
+    layout_found: bool = False
+
+    @property
+    def around(self) -> bool:
+        """Whether the cameras stand around what they show, and not side by side."""
+        return stands_around(self.layout)
 
     @cached_property
     def info(self) -> SceneInfo:

@@ -200,7 +200,7 @@ def test_nothing_is_known_where_there_is_no_object():
     alpha = torch.ones(3, HEIGHT, WIDTH, 1)
     alpha[:, :, : WIDTH // 2] = 0.2
     known = agreed_depth(
-        taken_by(photos.cameras, torch.cat([photos.images, alpha], -1), NEAR, FAR, "orbit")
+        taken_by(photos.cameras, torch.cat([photos.images, alpha], -1), NEAR, FAR, "object")
     )
     assert known[:, :, : WIDTH // 2].isnan().all()
     assert known[:, :, WIDTH // 2 + 4 :].isfinite().float().mean() > 0.5
