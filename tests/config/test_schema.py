@@ -152,11 +152,13 @@ def test_two_values_or_three(compose, layout: str, two: float, three: float) -> 
 @pytest.mark.usefixtures("by_kind")
 @pytest.mark.parametrize("name", ["one", "four"])
 def test_another_number_of_values_is_refused(name: str) -> None:
-    counts = {"one": 1, "four": 4}
-    message = f"^reg.entropy.weight: by_layout takes the values FORWARD,ORBIT or FORWARD,OBJECT,ROOM, not {counts[name]}"
-    with pytest.raises(NerfregError, match=message) as error:
+    count = {"one": 1, "four": 4}[name]
+    with pytest.raises(NerfregError) as error:
         compose_in_program([f"+reg={name}"])
-    assert "\n" not in str(error.value)
+    assert str(error.value) == (
+        "reg.entropy.weight: by_layout takes the values FORWARD,ORBIT or FORWARD,OBJECT,ROOM, "
+        f"not {count} of them"
+    )
 
 
 @pytest.mark.usefixtures("by_kind")

@@ -11,7 +11,7 @@ from typing import Any, Literal
 import pytest
 from nerfreg_docs import fill
 from nerfreg_docs.command_line import command_line, describe
-from nerfreg_docs.configuration import configuration
+from nerfreg_docs.configuration import _split_by_layout, configuration
 from nerfreg_docs.docstrings import attributes, summary
 from nerfreg_docs.fields import fields_table, type_name, yaml_value
 from nerfreg_docs.hooks import hooks_in_evaluation
@@ -197,6 +197,13 @@ def test_defaults_are_those_of_the_files() -> None:
     assert "also sets `train.rays=512`, `train.steps=1500`" in page
     assert "| `+reg=combinerf` |" in page
     assert "| `sampler=importance` |" in page
+
+
+def test_values_of_presets_are_listed_by_kind_of_capture() -> None:
+    values = {"a": "${by_layout:1,2}", "b": "${by_layout:1,2,3}", "c": 4}
+    plain_values, by_layout = _split_by_layout(values)
+    assert plain_values == {"a": "2", "b": "2", "c": 4}
+    assert by_layout == {"forward": {"a": "1", "b": "1"}, "room": {"b": "3"}}
 
 
 def test_regularizers_are_indexed() -> None:

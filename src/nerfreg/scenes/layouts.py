@@ -13,7 +13,7 @@ from nerfreg.scenes.splits import evenly
 FORWARD, OBJECT, ROOM = "forward", "object", "room"
 KINDS = {
     FORWARD: "photographs side by side",
-    OBJECT: "silhouettes known from all around",
+    OBJECT: "photographs around an object with nothing behind it",
     ROOM: "opaque photographs around a place",
 }
 """The three kinds of capture, and what each of them is."""
