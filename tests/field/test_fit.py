@@ -32,7 +32,17 @@ def a_scene(near: float = 2.0, focal: float = 100.0, size: int = 64) -> Scene:
     )
     box = torch.tensor([[-2.0, -1.0, -2.0], [2.0, 1.0, 2.0]])
     return Scene(
-        "", "orbit", cameras, (0, 1), (2,), box, near, 8.0, lambda view: torch.zeros(0), False, None
+        "",
+        "object",
+        cameras,
+        (0, 1),
+        (2,),
+        box,
+        near,
+        8.0,
+        lambda view: torch.zeros(0),
+        False,
+        None,
     )
 
 
