@@ -103,6 +103,9 @@ def test_presets_may_depend_on_the_layout(compose) -> None:
     assert compose("+reg=combinerf_plus", "scene.layout=null").reg == orbit, (
         "the cameras of this scene are on an orbit"
     )
+    room = compose("+reg=combinerf_plus", "scene.layout=room").reg
+    assert (room["occlusion"].weight, room["silhouettes"].weight) == (0.01, 0.0)
+    assert (orbit["occlusion"].weight, orbit["silhouettes"].weight) == (0.0, 1.0)
     assert (
         compose("+reg=combinerf_plus", "scene.layout=orbit", "reg.occlusion.weight=1")
         .reg["occlusion"]

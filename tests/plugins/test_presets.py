@@ -25,6 +25,7 @@ CONF = Path(__file__).parents[2] / "conf"
 CLASSES = {
     "adversarial": "Adversarial",
     "annealing": "Annealing",
+    "convex_prior": "ConvexPrior",
     "depth_smoothness": "DepthSmoothness",
     "distortion": "Distortion",
     "encoding_mask": "EncodingMask",
@@ -33,6 +34,7 @@ CLASSES = {
     "kl": "KLDivergence",
     "lipschitz": "Lipschitz",
     "occlusion": "Occlusion",
+    "silhouettes": "Silhouettes",
     "stereo": "Stereo",
     "unseen_smoothness": "UnseenSmoothness",
     "view_dependence": "ViewDependence",
@@ -46,7 +48,8 @@ PRESETS = {
     "combinerf_dagger": COMBINERF,
     "combinerf_sharp": COMBINERF,
     "combinerf_program": COMBINERF,
-    "combinerf_plus": {"distortion", "occlusion", "unseen_smoothness", "view_dependence", "stereo"},
+    "combinerf_plus": {"distortion", "occlusion", "unseen_smoothness", "view_dependence", "stereo"}
+    | {"silhouettes", "convex_prior"},
     "ablation_lip": {"lipschitz"},
     "ablation_dist_fg": FIRST,
     "ablation_dist_fg_patch4": FIRST,

@@ -135,9 +135,9 @@ def test_source_checkout_reads_its_own_pyproject(tmp_path: Path) -> None:
 def test_ours_are_all_installed() -> None:
     ours = {plugin.name: plugin for plugin in installed() if plugin.package == "nerfreg"}
     expected = (
-        "adversarial annealing depth_smoothness distortion encoding_mask entropy "
+        "adversarial annealing convex_prior depth_smoothness distortion encoding_mask entropy "
         "full_geometry kl lipschitz occlusion",
-        "stereo unseen_smoothness view_dependence",
+        "silhouettes stereo unseen_smoothness view_dependence",
     )
     assert sorted(ours) == " ".join(expected).split()
     assert {plugin.state for plugin in ours.values()} == {"ok"}
