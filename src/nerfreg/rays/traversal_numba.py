@@ -66,7 +66,7 @@ def _follow(occupied, blocks, low, cell, origin, direction, near, far, runs):
     x, by_x, start_x, per_x = _begin(low[0], cell, origin[0], direction[0], t, nx)
     y, by_y, start_y, per_y = _begin(low[1], cell, origin[1], direction[1], t, ny)
     z, by_z, start_z, per_z = _begin(low[2], cell, origin[2], direction[2], t, nz)
-    count, inside, begin = 0, False, np.float32(near)
+    count, inside, begin, last = 0, False, np.float32(near), np.float32(-np.inf)
     while t < end:
         state = blocks[x >> SHIFT, y >> SHIFT, z >> SHIFT]
         # Blocks whose cells are all alike are crossed in one step.
@@ -80,12 +80,16 @@ def _follow(occupied, blocks, low, cell, origin, direction, near, far, runs):
             full = occupied[x, y, z] != 0
             at = np.float32(t)
             if full and not inside:
-                begin = at
+                # A gap that rounding leaves without length is none either: the run goes on.
+                if count > 0 and at == last:
+                    count -= 1
+                else:
+                    begin = at
             # A run that rounding leaves without length is none.
             if inside and not full and at > begin:
                 if count < len(runs):
                     runs[count, 0], runs[count, 1] = begin, at
-                count += 1
+                count, last = count + 1, at
             inside = full
             t = leaves
         x = _next(x, by_x, to_x <= leaves, start_x, per_x, leaves, nx, shift)
