@@ -127,7 +127,8 @@ def test_rays_along_axes_and_in_planes_between_cells(axis: int, sign: float) -> 
     directions[:, axis] = sign
     bounds = torch.zeros(36), torch.full((36,), 12.0)
     compiled, plain = (
-        follow(grid, origins, directions, *bounds) for follow in (occupied_runs, occupied_runs_plain)
+        follow(grid, origins, directions, *bounds)
+        for follow in (occupied_runs, occupied_runs_plain)
     )
     assert torch.equal(compiled.ray, plain.ray)
     torch.testing.assert_close(compiled.enter, plain.enter)

@@ -23,6 +23,8 @@ def sampled_runs(
     each ray, and parts beside one that is not empty are sampled as well, since a border may lie
     anywhere between two points. Samples there that are in empty space are not evaluated.
 
+    A plugin that answers nothing in this step declares nothing.
+
     Args:
         hooks: The hooks of the run.
         rays: R rays.
@@ -40,6 +42,7 @@ def sampled_runs(
     t = (borders[:, 1:] + borders[:, :-1]) / 2
     positions = rays.origins[:, None] + rays.directions[:, None] * t[..., None]
     empty = hooks.empty(positions.detach().view(-1, 3), step)
-    assert empty is not None
+    if empty is None:
+        return None
     full = (~empty).view(t.shape).to(near.dtype)
     return runs_of_parts(borders, functional.max_pool1d(full, 3, stride=1, padding=1) > 0)

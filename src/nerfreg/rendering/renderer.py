@@ -26,7 +26,7 @@ from nerfreg.rendering.emptiness import sampled_runs
 from nerfreg.rendering.field_values import FieldValues
 from nerfreg.rendering.render_hooks import RenderHooks
 from nerfreg.rendering.sampling import importance
-from nerfreg.rendering.spans import MOST, Places, Spans
+from nerfreg.rendering.spans import MOST_SPANS, Places, Spans
 from nerfreg.rendering.stepped_field import SteppedField
 
 
@@ -157,7 +157,7 @@ class Renderer:
         if runs is None:
             return Spans.whole(*whole), self.sampler.counts
         counts = self.sampler.counts_inside
-        return Spans.of(runs, groups, *whole, most=min(MOST, counts.coarse)), counts
+        return Spans.of(runs, groups, *whole, most=min(MOST_SPANS, counts.coarse)), counts
 
     def _composite(
         self,

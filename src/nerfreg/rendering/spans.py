@@ -20,7 +20,7 @@ from torch import Tensor
 from nerfreg.rays.traversal import Runs
 from nerfreg.rendering.sampling import NEAREST, edges_between, merge, stratified
 
-MOST = 8
+MOST_SPANS = 8
 """Spans of a ray; the smallest gaps of a ray with more of them are filled."""
 
 
@@ -51,7 +51,7 @@ class Spans:
         groups: Int[Tensor, " rays"] | None,
         near: Float[Tensor, " groups"],
         far: Float[Tensor, " groups"],
-        most: int = MOST,
+        most: int = MOST_SPANS,
     ) -> Spans:
         """Return the union of runs over the rays of each group.
 
@@ -119,14 +119,17 @@ class Spans:
             return stratified(self.near, self.far, count, spacing, generator)
         begin, end = self.begin, self.end
         if spacing == "disparity":
-            # As where there are no gaps: a ray may begin at the camera.
-            least = NEAREST * self.far[:, None]
+            # As where there are no gaps: a ray may begin at the camera, or even end there.
+            least = (NEAREST * self.far[:, None]).clamp_min(torch.finfo(begin.dtype).tiny)
             begin, end = -1 / begin.maximum(least), -1 / end.maximum(least)
         length = (end - begin).clamp_min(0)
         real = (self.end > self.begin).to(length.dtype)
-        spare = (count - real.sum(dim=1, keepdim=True)) / length.sum(dim=1, keepdim=True)
-        # Rounded sums of numbers of at least 1 rise by at least 1, so that no span goes without.
-        last = (real + spare * length).cumsum(dim=1).round()
+        # Rays that miss the box have no length at all.
+        total = length.sum(dim=1, keepdim=True)
+        spare = (count - real.sum(dim=1, keepdim=True)) / torch.where(total > 0, total, 1)
+        # Rounded sums of numbers of at least 1 rise by at least 1, so that no span goes without. Of
+        # two halves one apart, `round` would make the same even number.
+        last = ((real + spare * length).cumsum(dim=1) + 0.5).floor()
         last[:, -1] = count
         index = torch.arange(count, dtype=begin.dtype, device=begin.device)
         index = index.expand(len(begin), count).contiguous()
@@ -137,7 +140,11 @@ class Spans:
         )
         share = (index - before + offset) / (last.gather(1, span) - before)
         t = torch.lerp(begin.gather(1, span), end.gather(1, span), share)
-        return -1 / t if spacing == "disparity" else t
+        if spacing == "linear":
+            return t
+        # The reciprocal of a reciprocal may lie beside the end of a span, and a span at the camera
+        # before what disparity begins with.
+        return (-1 / t).clamp(self.begin.gather(1, span), self.end.gather(1, span))
 
     def arranged(self, *samples: Float[Tensor, "rays _"]) -> Places:
         """Put samples and the gaps between the spans in order.
