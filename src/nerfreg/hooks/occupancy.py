@@ -17,7 +17,8 @@ EMPTY, MIXED, FULL = 0, 1, 2
 """What the cells of a block are."""
 
 
-@dataclass(frozen=True)
+# Tensors have no truth value by which two grids could be compared; a grid equals itself alone.
+@dataclass(frozen=True, eq=False)
 class OccupancyGrid:
     """Cubic cells, some of which are occupied.
 
@@ -60,6 +61,12 @@ class OccupancyGrid:
 
         occupied, empty = any_of(self.occupied), any_of(~self.occupied)
         return torch.where(occupied & empty, MIXED, torch.where(occupied, FULL, EMPTY)).byte()
+
+    def to(self, device: torch.device) -> OccupancyGrid:
+        """Return the same grid on a device; itself if it is there."""
+        if self.occupied.device == self.low.device == device:
+            return self
+        return OccupancyGrid(self.occupied.to(device), self.low.to(device), self.cell)
 
     @property
     def centers(self) -> Float[Tensor, "x y z 3"]:
