@@ -16,7 +16,7 @@ from nerfreg.checks import watch
 from nerfreg.checks.report import Report
 from nerfreg.checks.run import ALL_CASES
 from nerfreg.checks.run import check_plugin as check
-from nerfreg.hooks import TrainedModule
+from nerfreg.hooks import OccupancyGrid, TrainedModule
 
 Found = dict[str, list[str]]
 
@@ -571,6 +571,29 @@ class NotTruthValues(Regularizer):
     @hookimpl
     def nerfreg_empty(self, positions):
         return positions[:, 0]
+
+
+@dataclass
+class GridNowhere(Regularizer):
+    @hookimpl
+    def nerfreg_occupancy(self):
+        cells = torch.ones(4, 4, 4, dtype=torch.bool)
+        return OccupancyGrid(cells, torch.full((3,), torch.nan), 1.0)
+
+
+@dataclass
+class SilentGrid(Regularizer):
+    @hookimpl
+    def nerfreg_occupancy(self):
+        pass
+
+
+def test_wrong_and_forgotten_grids(found):
+    lines = found(GridNowhere, "fog", "steps")["contract"]
+    assert any("nerfreg_occupancy: low: 3 of 3 values not finite" in line for line in lines)
+    messages = found(SilentGrid, "fog", "steps", "run")
+    silent = "nerfreg_occupancy returned None each time, which has no effect"
+    assert messages == {"contract": [f"{silent}; return an OccupancyGrid"]}
 
 
 @dataclass

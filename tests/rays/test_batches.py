@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from nerfreg.errors import NerfregError
-from nerfreg.hooks import Needs, Rays
+from nerfreg.hooks import Needs, OccupancyGrid, Rays
 from nerfreg.rays import RayBatches
 from nerfreg.scenes import Procedural, Scene
 
@@ -199,3 +199,69 @@ def test_unseen_patches_are_squares_of_one_unseen_camera_each(
     more = draw(scene, Needs(patch_size=4, unseen_patches=0.25, unseen_rays=0.5))
     assert len(more.unseen) == 32 and more.unseen_patches.shape == (1, 4, 4)
     assert torch.equal(more.unseen_patches.flatten(), more.unseen[:16])
+
+
+def grid_of(scene: Scene, part) -> OccupancyGrid:
+    """The cells of 32^3 over the box whose centres lie in a part of space."""
+    everywhere = torch.ones((32,) * 3, dtype=torch.bool)
+    grid = OccupancyGrid.over(scene.info.center, scene.info.half_box, everywhere)
+    return OccupancyGrid(part(grid.centers), grid.low, grid.cell)
+
+
+def test_pixels_that_meet_no_occupied_cell_are_not_drawn(orbit: Scene) -> None:
+    batches = RayBatches(orbit, 64, torch.device("cpu"), torch.Generator().manual_seed(0))
+    before = batches.pixels
+    grid = grid_of(orbit, lambda at: (at - orbit.info.center).norm(dim=-1) < 0.3)
+    batches.keep_what_meets(grid)
+    # Against the cells at many points of every ray.
+    met = []
+    for image, x, y in before.tolist():
+        origin, ahead = orbit.cameras.rays(
+            torch.tensor([orbit.train[image]]), torch.tensor([[x, y]])
+        )
+        near, far = orbit.info.clipped(origin, ahead)
+        t = torch.lerp(near, far, torch.linspace(0, 1, 4000))[:, None]
+        met.append(bool(grid.contains(origin + ahead * t).any()))
+    sampled, kept = torch.tensor(met), batches.pixels
+    lost = {tuple(row) for row in before[sampled].tolist()} - {tuple(row) for row in kept.tolist()}
+    more = {tuple(row) for row in kept.tolist()} - {tuple(row) for row in before[sampled].tolist()}
+    assert not lost
+    # Points of a ray may miss a corner that it cuts.
+    assert len(more) <= 0.02 * len(kept) and len(kept) < 0.5 * len(before)
+    assert kept.dtype == before.dtype and {0, 1, 2} == set(kept[:, 0].tolist())
+    rays = batches.draw(Needs())
+    assert len(rays) == len(rays.targets) == 64
+    views, pixels = pixels_of(orbit, rays)
+    drawn = {
+        (orbit.train.index(int(view)), *pixel)
+        for view, pixel in zip(views, pixels.floor().long().tolist(), strict=True)
+    }
+    assert drawn <= {tuple(row) for row in kept.tolist()}
+
+
+def test_grids_that_leave_everything_leave_all_pixels(orbit: Scene) -> None:
+    batches = RayBatches(orbit, 64, torch.device("cpu"), torch.Generator().manual_seed(0))
+    before = batches.pixels
+    batches.keep_what_meets(grid_of(orbit, lambda at: at[..., 0] < 99))
+    assert torch.equal(batches.pixels, before)
+
+
+def test_several_grids_leave_what_meets_each(orbit: Scene) -> None:
+    left, low = (
+        grid_of(orbit, lambda at: at[..., 0] < -0.3),
+        grid_of(orbit, lambda at: at[..., 2] < -0.3),
+    )
+
+    def kept(*grids: OccupancyGrid) -> set[tuple[int, ...]]:
+        batches = RayBatches(orbit, 64, torch.device("cpu"), torch.Generator().manual_seed(0))
+        for grid in grids:
+            batches.keep_what_meets(grid)
+        return {tuple(row) for row in batches.pixels.tolist()}
+
+    assert kept(left, low) == kept(low, left) == kept(left) & kept(low)
+
+
+def test_a_grid_without_cells_leaves_nothing_to_draw(orbit: Scene) -> None:
+    batches = RayBatches(orbit, 64, torch.device("cpu"), torch.Generator().manual_seed(0))
+    with pytest.raises(NerfregError, match="declare all space empty that training views see"):
+        batches.keep_what_meets(grid_of(orbit, lambda at: at[..., 0] > 99))

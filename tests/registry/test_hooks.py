@@ -12,7 +12,7 @@ from torch import nn
 from nerfreg import Needs, NerfregError, Regularizer, hookimpl
 from nerfreg.errors import PluginError
 from nerfreg.field.layers import Linear
-from nerfreg.hooks import DensitySamples, EvaluatedView, Samples
+from nerfreg.hooks import DensitySamples, EvaluatedView, OccupancyGrid, Samples
 from nerfreg.registry import Hooks
 from nerfreg.scenes.cameras import Cameras
 from nerfreg.scenes.scene import Photographs
@@ -365,3 +365,48 @@ def test_what_is_prepared_in_another_shape_is_told(
 ) -> None:
     with pytest.raises(PluginError, match=message):
         getattr(answering(f"nerfreg_{hook}", answer), hook)(photographs)
+
+
+@dataclass
+class Cells(Regularizer):
+    """Answers whatever it holds."""
+
+    answer: object = None
+
+    @hookimpl
+    def nerfreg_occupancy(self):
+        return self.answer
+
+
+def cells_at(*index: int) -> OccupancyGrid:
+    """Four cells of length 1 along x, of which some are occupied."""
+    occupied = torch.zeros(4, 1, 1, dtype=torch.bool)
+    occupied[list(index)] = True
+    return OccupancyGrid(occupied, torch.zeros(3), 1.0)
+
+
+def test_grids_of_all_active_plugins_are_listed(step) -> None:
+    first, second = cells_at(0), cells_at(1)
+    hooks = Hooks(
+        {"one": Cells(answer=first), "none": Cells(), "two": Cells(answer=second, start=50)}
+    )
+    assert Hooks().occupancy(step(index=0)) == ()
+    assert hooks.occupancy(step(index=0)) == (first,)
+    assert hooks.occupancy(step(index=50)) == (first, second)
+
+
+def test_what_lies_outside_of_any_grid_is_empty(step) -> None:
+    positions = torch.tensor([[0.5, 0.0, 0.0], [1.5, 0.0, 0.0], [2.5, 0.0, 0.0]])
+    hooks = Hooks({"one": Cells(answer=cells_at(0, 1)), "two": Cells(answer=cells_at(1, 2))})
+    empty = hooks.empty(positions, step(index=0))
+    assert empty is not None and empty.tolist() == [True, False, True]
+    assert Hooks({"none": Cells()}).empty(positions, step(index=0)) is None
+
+
+def test_an_answer_that_is_no_grid_is_refused(step) -> None:
+    hooks = Hooks({"cells": Cells(answer=torch.ones(4, 4, 4, dtype=torch.bool))})
+    with pytest.raises(
+        PluginError,
+        match=r"cells.*, nerfreg_occupancy at step 3: returned Tensor; return an OccupancyGrid",
+    ):
+        hooks.occupancy(step(index=3))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import pytest
 import torch
@@ -11,10 +11,11 @@ import torch
 from nerfreg import Regularizer, hookimpl
 from nerfreg.field import FieldConfig, RadianceField
 from nerfreg.field.layers import Linear
+from nerfreg.hooks import OccupancyGrid
 from nerfreg.registry import Hooks
 from nerfreg.rendering.config import SamplerConfig
 from nerfreg.rendering.occupancy import occupied_by
-from nerfreg.rendering.views import ViewRenderer
+from nerfreg.rendering.views import View, ViewRenderer
 from nerfreg.scenes import Procedural, Scene
 
 
@@ -207,3 +208,110 @@ def ball_depth(there: Scene) -> torch.Tensor:
     b = (to_center * directions).sum(dim=1)
     root = b.square() - to_center.square().sum(dim=1) + 0.25
     return torch.where(root > 0, b - root.clamp_min(0).sqrt(), torch.inf).view(48, 48)
+
+
+@dataclass
+class Cells(Regularizer):
+    """A grid of cells declares space empty."""
+
+    grid: Any = None
+
+    @hookimpl
+    def nerfreg_occupancy(self):
+        return self.grid
+
+
+@dataclass
+class Outside(Regularizer):
+    """A function declares space empty outside of all grids."""
+
+    grids: Any = ()
+
+    @hookimpl
+    def nerfreg_empty(self, positions):
+        return ~torch.stack([grid.contains(positions) for grid in self.grids]).all(dim=0)
+
+
+def cells(there: Scene, part: Any) -> OccupancyGrid:
+    """The cells whose centres lie in a part of space."""
+    everywhere = torch.ones((40,) * 3, dtype=torch.bool)
+    grid = OccupancyGrid.over(there.info.center, there.info.half_box, everywhere)
+    return OccupancyGrid(part(grid.centers), grid.low, grid.cell)
+
+
+def right_half(centers: torch.Tensor) -> torch.Tensor:
+    return centers[..., 0] > 0.3
+
+
+def in_front(centers: torch.Tensor) -> torch.Tensor:
+    return centers[..., 1].abs() < 0.35
+
+
+def around(centers: torch.Tensor) -> torch.Tensor:
+    return (centers - torch.tensor([0.3, 0.0, 0.0])).norm(dim=-1) < 0.6
+
+
+def seen(there: Scene, step: Any, *plugins: Regularizer, block: int = 1) -> View:
+    hooks = Hooks({f"plugin{number}": plugin for number, plugin in enumerate(plugins)})
+    evaluation = replace(step(index=50), training=False)
+    sampler = SamplerConfig(64, 128, view_samples=256, view_block=block)
+    renderer = ViewRenderer(Ball(there.box), sampler, there, hooks, evaluation)
+    return renderer.view(there.cameras, there.test[0])
+
+
+def misses(there: Scene, *grids: OccupancyGrid) -> torch.Tensor:
+    """Which pixels (H, W) see none of the cells that are occupied in all of the grids."""
+    origins, directions = there.cameras.image_rays(there.test[0])
+    near, far = there.info.clipped(origins, directions)
+    t = torch.lerp(near[:, None], far[:, None], torch.linspace(0, 1, 2000))
+    at = (origins[:, None] + directions[:, None] * t[..., None]).view(-1, 3)
+    inside = torch.stack([grid.contains(at) for grid in grids]).all(dim=0)
+    return ~inside.view(t.shape).any(dim=1).view(48, 48)
+
+
+@pytest.mark.parametrize("parts", [(right_half,), (around,), (right_half, in_front)])
+def test_views_of_grids_are_those_of_the_same_emptiness_by_a_function(parts: Any, step) -> None:
+    there = scene()
+    grids = [cells(there, part) for part in parts]
+    by_grid = seen(there, step, *[Cells(grid=grid) for grid in grids])
+    by_function = seen(there, step, Outside(grids=grids))
+    # At the rim, a pixel just meets the ball or just misses it.
+    same = (by_grid.rgb - by_function.rgb).abs().amax(dim=-1) < 1e-2
+    assert same.float().mean() > 0.995
+    torch.testing.assert_close(by_grid.depth[same], by_function.depth[same], rtol=0, atol=0.02)
+    assert 20 < (by_grid.opacity > 0.5).sum() < 1500
+    empty = misses(there, *grids)
+    assert empty.any()
+    assert (by_grid.rgb[empty] == 1).all() and (by_grid.opacity[empty] == 0).all()
+
+
+def test_a_grid_around_what_is_there_leaves_the_picture_as_it_is(step) -> None:
+    there = scene()
+    plain = seen(there, step)
+    hull = seen(there, step, Cells(grid=cells(there, around)))
+    same = (hull.rgb - plain.rgb).abs().amax(dim=-1) < 1e-2
+    assert same.float().mean() > 0.995
+    torch.testing.assert_close(hull.depth[same], plain.depth[same], rtol=0, atol=0.02)
+    # Empty rays end with the box, as they do without a grid.
+    empty = plain.opacity < 1e-6
+    assert empty.sum() > 1000 and torch.equal(hull.depth[empty], plain.depth[empty])
+
+
+def test_blocks_that_see_cells_in_part(step) -> None:
+    there = scene()
+    grid = cells(there, right_half)
+    exact, blocks = (seen(there, step, Cells(grid=grid), block=block) for block in (1, 4))
+    assert ((exact.opacity > 0.5) == (blocks.opacity > 0.5)).float().mean() > 0.99
+    empty = misses(there, grid)
+    assert (blocks.opacity[empty] == 0).all()
+    assert torch.equal(blocks.depth[empty], exact.depth[empty])
+
+
+def test_where_nothing_is_left_a_view_is_its_background(step) -> None:
+    there = scene()
+    nothing = cells(there, lambda centers: centers[..., 0] > 99)
+    view = seen(there, step, Cells(grid=nothing), block=4)
+    assert (view.rgb == 1).all() and (view.opacity == 0).all()
+    plain = seen(replace(there), step, Cells(grid=cells(there, around)))
+    corner = plain.depth[0, 0]
+    assert view.depth[0, 0] == corner

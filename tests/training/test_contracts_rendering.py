@@ -8,7 +8,14 @@ from dataclasses import replace
 import pytest
 import torch
 
-from nerfreg.hooks import ColorSamples, DensitySamples, Rays, Rendering, TrainedModule
+from nerfreg.hooks import (
+    ColorSamples,
+    DensitySamples,
+    OccupancyGrid,
+    Rays,
+    Rendering,
+    TrainedModule,
+)
 from nerfreg.scenes.cameras import Cameras
 from nerfreg.scenes.scene import Photographs
 from nerfreg.training.contracts import Untouched
@@ -17,6 +24,7 @@ from nerfreg.training.contracts_rendering import (
     wrong_density,
     wrong_empty,
     wrong_metrics,
+    wrong_occupancy,
     wrong_rays,
     wrong_rendering,
     wrong_unseen_poses,
@@ -100,6 +108,44 @@ def test_emptiness_is_a_truth_value_for_each_position() -> None:
     ]
     assert wrong_empty(positions, torch.ones(4, dtype=torch.bool)) == [
         "empty: has shape (4,), not (5,)"
+    ]
+
+
+def test_occupancy_is_a_grid_of_cells() -> None:
+    cells, low = torch.ones(4, 5, 6, dtype=torch.bool), torch.zeros(3)
+    assert wrong_occupancy(None) == wrong_occupancy(OccupancyGrid(cells, low, 0.5)) == []
+    assert wrong_occupancy(cells) == ["returned of type Tensor, not an OccupancyGrid"]
+
+
+@pytest.mark.parametrize(
+    ("part", "value", "wrong"),
+    [
+        ("occupied", torch.ones(4, 5, 6), "occupied: has dtype torch.float32, not torch.bool"),
+        ("occupied", torch.ones(4, 5) > 0, "occupied: is (4, 5), not a tensor (X, Y, Z)"),
+        ("occupied", torch.ones(4, 0, 5) > 0, "occupied: is (4, 0, 5), not a tensor (X, Y, Z)"),
+        ("low", torch.zeros(2), "low: has shape (2,), not (3,)"),
+        (
+            "low",
+            torch.tensor([0.0, torch.inf, 0.0]),
+            "low: 1 of 3 values not finite, the first at [1]: inf",
+        ),
+        ("cell", 0.0, "cell: is 0.0, not a positive number"),
+        ("cell", float("nan"), "cell: is nan, not a positive number"),
+        ("cell", torch.ones(()), "cell: is of type Tensor, not a positive number"),
+    ],
+)
+def test_grids_of_cells(part: str, value: object, wrong: str) -> None:
+    grid = OccupancyGrid(torch.ones(4, 5, 6, dtype=torch.bool), torch.zeros(3), 0.5)
+    # Outside of the tests, nobody checks the types of what a plugin makes.
+    object.__setattr__(grid, part, value)
+    assert wrong_occupancy(grid) == [wrong]
+
+
+def test_a_grid_must_be_where_the_field_is() -> None:
+    grid = OccupancyGrid(torch.ones(4, 5, 6, dtype=torch.bool), torch.zeros(3), 0.5)
+    assert wrong_occupancy(grid, torch.device("meta")) == [
+        "low: has device cpu, not meta",
+        "occupied: has device cpu, not meta",
     ]
 
 

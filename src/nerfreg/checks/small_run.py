@@ -12,7 +12,7 @@ from torch import nn
 from nerfreg.checks.report import Report, in_words
 from nerfreg.checks.restoration import unsaved_parameters, wrong_restoration
 from nerfreg.checks.steps import RunCase
-from nerfreg.checks.watch import WatchedHooks, core_weights
+from nerfreg.checks.watch import FOUND_OUT, WatchedHooks, core_weights
 from nerfreg.config.schema import Config
 from nerfreg.errors import NerfregError, PluginError
 from nerfreg.evaluation.leaks import require_no_leak
@@ -80,6 +80,7 @@ def check_run(report: Report, case: RunCase, _: None) -> None:
             with report.at(report.spot, "state"):
                 other = _trainer(hooks.fresh(), lines)
                 report.judge("state", wrong_restoration(trainer, other, Path(folder)))
+    report.judge("contract", hooks.fallen_silent(FOUND_OUT))
     for check in ("contract", "effects"):
         report.judge(check, hooks.take(check))
 

@@ -15,7 +15,7 @@ from nerfreg.checks.driver import STEPS, Driver
 from nerfreg.checks.inputs import Inputs, cast
 from nerfreg.checks.report import Report, Spot, in_words
 from nerfreg.checks.subject import Subject
-from nerfreg.checks.watch import WatchedHooks, core_weights
+from nerfreg.checks.watch import DUE, FOUND_OUT, WatchedHooks, core_weights
 from nerfreg.hooks import Rendering, Step
 from nerfreg.registry import Term
 
@@ -97,7 +97,7 @@ def _drive(
     if len(steps) == FIRST:
         # The plugin was on in every step.
         found["steps"] += kept.faults()
-        found["contract"] += hooks.fallen_silent()
+        found["contract"] += hooks.fallen_silent([hook for hook in DUE if hook not in FOUND_OUT])
     for check in ("contract", "effects"):
         found[check].extend(hooks.take(check))
 

@@ -29,6 +29,7 @@ GENERATORS = {
 DUE = {
     "nerfreg_rays": "rays",
     "nerfreg_ray_bounds": "(near, far)",
+    "nerfreg_occupancy": "an OccupancyGrid",
     "nerfreg_empty": "booleans (P,)",
     "nerfreg_encoder_input": "samples",
     "nerfreg_density": "densities (R, N)",
@@ -36,6 +37,9 @@ DUE = {
     "nerfreg_rendering": "a rendering",
 }
 """Hooks without any effect if they return None, and what to return."""
+
+FOUND_OUT = ("nerfreg_occupancy",)
+"""Those whose answers come from photographs, and need some that are more than made up."""
 
 
 @dataclass(frozen=True)
@@ -117,12 +121,12 @@ class WatchedHooks(CheckedHooks):
         self._before = Surroundings.now({})
         super().__init__(plugins)
 
-    def fallen_silent(self) -> list[str]:
-        """Return a line for each hook that was called and returned nothing but None."""
+    def fallen_silent(self, hooks: Iterable[str]) -> list[str]:
+        """Return a line for each of some hooks that was called and returned nothing but None."""
         return [
             f"{hook} returned None each time, which has no effect; return {DUE[hook]}"
-            for hook, answered in self._answered.items()
-            if answered and not any(answered)
+            for hook in hooks
+            if hook in self._answered and not any(self._answered[hook])
         ]
 
     def take(self, check: str) -> list[str]:

@@ -5,6 +5,7 @@ One line for each mistake, none if nothing is wrong.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import fields
 from numbers import Real
@@ -12,7 +13,7 @@ from numbers import Real
 import torch
 from torch import Tensor
 
-from nerfreg.hooks import ColorSamples, DensitySamples, Rays, Rendering
+from nerfreg.hooks import ColorSamples, DensitySamples, OccupancyGrid, Rays, Rendering
 from nerfreg.training.contracts import differs, kind, unlike
 
 UNIT = 1e-4
@@ -44,6 +45,33 @@ def wrong_rays(before: Rays, after: object) -> list[str]:
         given, left = getattr(before, name), getattr(after, name)
         if left is not given and not (isinstance(given, Tensor) and _equal(given, left)):
             wrong.append(f"{name}: is not what it was; leave it")
+    return wrong
+
+
+def wrong_occupancy(answer: object, device: torch.device | None = None) -> list[str]:
+    """Check that `nerfreg_occupancy` returned a grid of cells on the device of the field, or None.
+
+    Args:
+        answer: What it returned.
+        device: Where the field is; None where that is not known.
+    """
+    if answer is None:
+        return []
+    if not isinstance(answer, OccupancyGrid):
+        return [f"returned {kind(answer)}, not an OccupancyGrid"]
+    occupied, low, cell = answer.occupied, answer.low, answer.cell
+    if device is None and isinstance(low, Tensor):
+        device = low.device
+    wrong = unlike("low", low, torch.empty(3, device=device))
+    if not (isinstance(occupied, Tensor) and occupied.ndim == 3 and occupied.numel()):
+        found = f"{tuple(occupied.shape)}" if isinstance(occupied, Tensor) else kind(occupied)
+        wrong.append(f"occupied: is {found}, not a tensor (X, Y, Z)")
+    else:
+        model = torch.empty(occupied.shape, dtype=torch.bool, device=device)
+        wrong += differs("occupied", occupied, model)
+    if not (isinstance(cell, Real) and 0 < float(cell) < math.inf):
+        found = f"{cell}" if isinstance(cell, Real) else kind(cell)
+        wrong.append(f"cell: is {found}, not a positive number")
     return wrong
 
 
