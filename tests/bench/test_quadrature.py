@@ -38,6 +38,29 @@ def test_slab() -> None:
         assert measured.depth_error == pytest.approx(3 / 12 / measured.samples**2, rel=1e-3)
 
 
+@pytest.mark.parametrize("quantity", ["opacity", "depth", "color"])
+def test_samples_by_length_converge_with_order_2_across_gaps(quantity: str) -> None:
+    # Across borders of windows, samples of the whole ray converge with order 1 alone.
+    sizes = RaySizes(tuple(2**k for k in range(6, 12)), rays=16, repetitions=1)
+    error = f"{quantity}_error"
+    by_length = points("exponential_with_gaps", sizes, "inside")
+    assert fitted_order(by_length, error) == pytest.approx(2, abs=0.1)
+    even = points("exponential_with_gaps", sizes, "uniform")
+    assert fitted_order(even, error) < 1.5
+    for ours, theirs in zip(by_length, even, strict=True):
+        assert getattr(ours, error) < getattr(theirs, error) / 5
+
+
+def test_slabs_with_gaps_between_them_are_exactly_as_opaque() -> None:
+    for measured in points("slab_with_gaps", sampler="inside"):
+        assert measured.opacity_error < 1e-14
+        assert measured.depth_error < 1e-4
+
+
+def test_a_medium_without_gaps_is_not_sampled_twice() -> None:
+    assert points("slab", sampler="inside") == []
+
+
 def test_a_shell_between_two_samples_is_not_there() -> None:
     # Half of the rays, evenly spread over an interval of 1/384, have a sample in the shell of
     # 1/768.

@@ -4,12 +4,13 @@ import pytest
 import torch
 from torch import Tensor
 
-from nerfreg.bench.media import Medium, Wall, walls
+from nerfreg.bench.media import Medium, Wall, cut, walls
 from nerfreg.bench.samplers import (
     CELLS,
     SAMPLERS,
     Bundle,
     by_importance,
+    inside,
     jittered,
     skipping,
     uniform,
@@ -74,3 +75,16 @@ def test_skipping_may_lose_a_wall_thinner_than_a_cell() -> None:
     thin = walls("thin", Wall(64.4 / CELLS, (64.4 + 1 / 6) / CELLS, 1e4))
     found = bundle(thin, 400).occupied.any(dim=1).float().mean()
     assert found.item() == pytest.approx(0.81, abs=0.08)
+
+
+def test_inside_samples_windows_by_length() -> None:
+    # Windows of 0.1 and 0.3: of 18 samples two are given, and 16 are divided into 4 and 12.
+    medium = cut("gaps", SLAB, (0.2, 0.3), (0.5, 0.8))
+    sampled = inside(bundle(medium), 18)
+    assert sampled.t.shape == (3, 19) and sampled.evaluations == 18
+    assert (sampled.t_edges[:, 0] == 0.2).all() and (sampled.t_edges[:, -1] == 0.8).all()
+    solid = sampled.density > 0
+    assert solid.sum(dim=1).tolist() == [18] * 3 and (~solid).nonzero()[:, 1].tolist() == [5] * 3
+    lengths = sampled.t_edges.diff(dim=1)
+    torch.testing.assert_close(lengths[:, 5], torch.full((3,), 0.2))
+    torch.testing.assert_close((lengths * solid).sum(dim=1), torch.full((3,), 0.4))

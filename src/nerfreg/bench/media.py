@@ -39,6 +39,7 @@ class Medium:
         breaks: Ascending distances in (0, 1) between which the density is smooth and not steep.
         slack: How far both ends of the ray may be moved towards the camera, with nothing but
             vacuum gained or lost; above 0 for stiff media, which are thin beside the ray.
+        windows: Ascending (begin, end) outside of which space is declared empty; none: nothing is.
     """
 
     name: str
@@ -46,6 +47,7 @@ class Medium:
     thickness: Callable[[Any], Any]
     breaks: tuple[float, ...] = ()
     slack: float = 0.0
+    windows: tuple[tuple[float, float], ...] = ()
 
 
 class Exact(NamedTuple):
@@ -126,6 +128,23 @@ def gaussian(name: str, peak: float, center: float, width: float, slack: float =
     return Medium(name, density, thickness, tuple(t for t in places if 0 < t < 1), slack)
 
 
+def cut(name: str, whole: Medium, *windows: tuple[float, float]) -> Medium:
+    """Return what a medium has in some windows, with empty space between them."""
+
+    def density(t: Tensor) -> Tensor:
+        inside = torch.stack([(t >= begin) & (t <= end) for begin, end in windows]).any(dim=0)
+        return whole.density(t) * inside
+
+    def thickness(t: Any) -> Any:
+        ends = [(min(t, mp.mpf(begin)), min(t, mp.mpf(end))) for begin, end in windows]
+        return mp.fsum(whole.thickness(end) - whole.thickness(begin) for begin, end in ends)
+
+    breaks = tuple(t for window in windows for t in window if 0 < t < 1)
+    return Medium(name, density, thickness, breaks, windows=windows)
+
+
+WINDOWS = ((0.1, 0.16), (0.42, 0.5), (0.8, 0.83))
+"""A sixth of the ray."""
 THIN = 1 / 768
 """Of shells: a third more than one of 1024 intervals, which no power of two fits by accident."""
 PLACE = 0.6
@@ -144,4 +163,6 @@ MEDIA = (
         Wall(0.7, 0.7 + THIN, 1e5),
         slack=SLACK,
     ),
+    cut("slab_with_gaps", walls("slab", Wall(0.0, 1.0, 10.0)), *WINDOWS),
+    cut("exponential_with_gaps", exponential("exponential", start=24.0, falloff=3.0), *WINDOWS),
 )

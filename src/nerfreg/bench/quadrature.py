@@ -23,7 +23,7 @@ from nerfreg.analysis.curves import Dot, draw_curves
 from nerfreg.analysis.tables import build_table, numbers, publish_points, select, text
 from nerfreg.bench import BenchOutcome
 from nerfreg.bench.media import MEDIA, Medium, color, exact
-from nerfreg.bench.samplers import SAMPLERS, Bundle, Sampled
+from nerfreg.bench.samplers import SAMPLERS, Bundle, Sampled, samplers_of
 from nerfreg.bench.timing import RaySizes, median_seconds
 from nerfreg.rendering.compositing import composite
 
@@ -88,9 +88,10 @@ def measure(medium: Medium, dtype: torch.dtype, sizes: RaySizes) -> list[RayErro
     name = str(dtype).removeprefix("torch.")
     points = []
     for count in sizes.samples:
-        calls = [partial(render, rays, sampler, count) for sampler in SAMPLERS]
+        samplers = samplers_of(medium)
+        calls = [partial(render, rays, sampler, count) for sampler in samplers]
         seconds = median_seconds(calls, sizes.repetitions)
-        for sampler, call, time in zip(SAMPLERS, calls, seconds, strict=True):
+        for sampler, call, time in zip(samplers, calls, seconds, strict=True):
             sampled, *values = call()
             cost, errors = (sampled.evaluations, time / sizes.rays * 1e6), _errors(medium, *values)
             points.append(RayErrors(medium.name, sampler, name, count, *cost, *errors))
@@ -175,6 +176,9 @@ def _row(medium: Medium, points: Sequence[RayErrors]) -> list[str]:
         order = fitted_order(own, error, fewest)
         row.append("-" if order is None else f"{order:.2f}")
     for sampler in SAMPLERS:
+        if sampler not in samplers_of(medium):
+            row.append("-")
+            continue
         point = first_below(select(points, sampler=sampler, dtype="float32"), GOAL)
         digits = 0 if point and point.microseconds >= 10 else 1
         row.append(f"{point.samples} ({point.microseconds:.{digits}f})" if point else "never")

@@ -12,10 +12,12 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from nerfreg.bench.media import Medium
+from nerfreg.rays.traversal import Runs
 from nerfreg.rendering.compositing import integrate
 from nerfreg.rendering.config import SamplerConfig
 from nerfreg.rendering.occupancy import EMPTY_THICKNESS
 from nerfreg.rendering.sampling import edges_between, importance, merge, stratified
+from nerfreg.rendering.spans import Spans
 
 CELLS = SamplerConfig().skip_resolution
 LOOKS = 9
@@ -92,9 +94,28 @@ def skipping(bundle: Bundle, count: int) -> Sampled:
     return bundle.sampled(t, density, len(seen) / len(t))
 
 
+def inside(bundle: Bundle, count: int) -> Sampled:
+    """Sample midpoints of parts of the windows alone, by their length, as training does."""
+    windows, rays = bundle.near.new_tensor(bundle.medium.windows).view(-1, 2), len(bundle.near)
+    ray = torch.arange(rays).repeat_interleave(len(windows))
+    runs = Runs(ray, *windows.repeat(rays, 1).unbind(dim=1))
+    spans = Spans.of(runs, None, bundle.near, bundle.far)
+    places = spans.arranged(spans.stratified(count))
+    density = bundle.medium.density(places.t)
+    if places.is_sample is not None:
+        density = density * places.is_sample
+    return Sampled(places.t, places.edges, density, float(count))
+
+
 SAMPLERS: dict[str, Callable[[Bundle, int], Sampled]] = {
     "uniform": uniform,
     "uniform_jittered": jittered,
     "importance": by_importance,
     "skipping": skipping,
+    "inside": inside,
 }
+
+
+def samplers_of(medium: Medium) -> list[str]:
+    """Return those that differ on a medium: without windows, `inside` is `uniform`."""
+    return [name for name in SAMPLERS if medium.windows or name != "inside"]
