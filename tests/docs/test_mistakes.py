@@ -184,6 +184,12 @@ MISTAKES = (
         "    density = yield\n    return density.flatten()\n",
     ),
     Mistake(
+        "`nerfreg_occupancy` returns the cells without their place",
+        "running",
+        "@hookimpl\ndef nerfreg_occupancy(self):\n"
+        "    return torch.ones(64, 64, 64, dtype=torch.bool)\n",
+    ),
+    Mistake(
         "`nerfreg_empty` returns numbers in place of booleans",
         "running",
         "@hookimpl\ndef nerfreg_empty(self, positions):\n"

@@ -45,3 +45,12 @@ def test_blocks_tell_what_their_cells_are(shape: tuple[int, int, int]) -> None:
         cells = occupied[x, y, z]
         expected = FULL if cells.all() else MIXED if cells.any() else EMPTY
         assert blocks[tuple(index)] == expected
+
+
+def test_a_grid_is_copied_to_a_device_once() -> None:
+    grid = OccupancyGrid(torch.ones(2, 3, 4, dtype=torch.bool), torch.zeros(3), 1.0)
+    assert grid.to(torch.device("cpu")) is grid
+    copy = grid.to(torch.device("meta"))
+    assert copy.occupied.device == copy.low.device == torch.device("meta")
+    assert (copy.occupied.shape, copy.cell) == ((2, 3, 4), 1.0)
+    assert grid.to(torch.device("meta")) is copy

@@ -43,7 +43,8 @@ class OccupancyGrid:
             half_side: Half its side, in world units, such as `SceneInfo.half_box`.
             occupied: (n, n, n) which cells are occupied, by x, y and z.
         """
-        return cls(occupied, center - half_side, 2 * half_side / len(occupied))
+        low = (center - half_side).to(occupied.device)
+        return cls(occupied, low, 2 * half_side / len(occupied))
 
     @cached_property
     def blocks(self) -> UInt8[Tensor, "bx by bz"]:
@@ -63,10 +64,17 @@ class OccupancyGrid:
         return torch.where(occupied & empty, MIXED, torch.where(occupied, FULL, EMPTY)).byte()
 
     def to(self, device: torch.device) -> OccupancyGrid:
-        """Return the same grid on a device; itself if it is there."""
-        if self.occupied.device == self.low.device == device:
+        """Return the same grid on a device, copied once; itself if it is there."""
+        if self.occupied.device == device:
             return self
-        return OccupancyGrid(self.occupied.to(device), self.low.to(device), self.cell)
+        if device not in self._copies:
+            copy = OccupancyGrid(self.occupied.to(device), self.low.to(device), self.cell)
+            self._copies[device] = copy
+        return self._copies[device]
+
+    @cached_property
+    def _copies(self) -> dict[torch.device, OccupancyGrid]:
+        return {}
 
     @property
     def centers(self) -> Float[Tensor, "x y z 3"]:

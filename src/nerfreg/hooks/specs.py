@@ -229,8 +229,9 @@ class HookSpecs:
             step: Where the run stands.
 
         Returns:
-            The grid: the same object in each step while the cells are the same, since what it takes
-            to follow rays through it is found once. Outside of the grid, the nearest cell counts.
+            The grid, on any device: the same object in each step while the cells are the same,
+            since what it takes to follow rays through it is found once. Outside of the grid, the
+            nearest cell counts.
         """
 
     @hookspec

@@ -183,7 +183,6 @@ class RayBatches:
         Raises:
             NerfregError: No pixel is left.
         """
-        grid = grid.to(self.pixels.device)
         kept = []
         for image, view in enumerate(self.views):
             pixels = self.pixels[self.pixels[:, 0] == image]

@@ -50,6 +50,7 @@ def occupied_runs(
     Returns:
         The parts, exact but for rounding.
     """
+    grid = grid.to(origins.device)
     if origins.device.type == "cpu":
         return Runs(*traversal_numba.occupied_runs(grid, origins, directions, near, far))
     return occupied_runs_plain(grid, origins, directions, near, far)

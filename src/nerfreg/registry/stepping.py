@@ -108,7 +108,7 @@ class SteppingHooks(PluginCaller):
         """
         empty: Tensor | None = None
         for grid in self.occupancy(step):
-            outside = ~grid.contains(positions)
+            outside = ~grid.to(positions.device).contains(positions)
             empty = outside if empty is None else empty | outside
         for name in self._active("nerfreg_empty", step):
             given = {"positions": positions, "step": step}

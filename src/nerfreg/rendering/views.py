@@ -88,8 +88,6 @@ class ViewRenderer:
         self.scene = scene
         # Which hooks take part is found out once, and costs nothing in each chunk of rays.
         self._hooks = EvaluationHooks.of(hooks, step)
-        # Rays are narrowed on the CPU, wherever plugins keep their grids.
-        self._cells = [grid.to(torch.device("cpu")) for grid in self._hooks.occupancy]
         self.occupancy = occupied_by(
             field,
             sampler.skip_resolution,
@@ -130,7 +128,7 @@ class ViewRenderer:
         grid = pixels.shape[:2]
         rays = self._rays(cameras, view, pixels, self._training_view(cameras, view))
         image, box_far = self._empty_image(rays), rays.far
-        for cells in self._cells:
+        for cells in self._hooks.occupancy:
             rays = rays.narrowed(cells)
         hit = (rays.far > rays.near).any(dim=1).nonzero().squeeze(1)
         rays = rays.to(device)
@@ -145,7 +143,7 @@ class ViewRenderer:
         # Each thread takes whole chunks through all operations, instead of PyTorch's threads
         # sharing every operation: 1.4 times as fast on two cores.
         in_shares(len(hit), size, render)
-        if self._cells:
+        if self._hooks.occupancy:
             # Empty rays end with the box and not with the cells.
             image[..., 3] = torch.where(image[..., 4] < MIN_OPACITY, box_far, image[..., 3])
         # From blocks to rows of pixels; the repeated ones at the right and bottom are cut off.

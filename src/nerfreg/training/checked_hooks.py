@@ -95,14 +95,6 @@ def _ray_bounds(given: Given, answer: Any) -> list[str]:
     return wrong_bounds(*answer, given["rays"])
 
 
-def _occupancy(given: Given, answers: Any) -> list[str]:
-    step: Step = given["step"]
-    # The levels of the grid are where the field is; there are none if a plugin replaced it.
-    tables = () if step.renderer is None else step.field.tables
-    device = tables[0].table.device if tables else None
-    return [line for answer in answers for line in wrong_occupancy(answer, device)]
-
-
 def _loss(given: Given, answers: Any) -> list[str]:
     # Training is in float32; of other precisions, which `nerfreg check` tries, a loss may return
     # another one.
@@ -140,7 +132,7 @@ MISTAKES: dict[str, Callable[[Given, Any], list[str]]] = {
     "nerfreg_unseen_poses": _unseen_poses,
     "nerfreg_rays": lambda given, answer: wrong_rays(given["rays"], answer),
     "nerfreg_ray_bounds": _ray_bounds,
-    "nerfreg_occupancy": _occupancy,
+    "nerfreg_occupancy": _each(wrong_occupancy),
     "nerfreg_empty": _each_of("positions", wrong_empty),
     "nerfreg_encoder_input": lambda given, answer: wrong_samples(given["samples"], answer),
     "nerfreg_density": lambda given, answer: wrong_density(given["samples"], answer),

@@ -48,20 +48,14 @@ def wrong_rays(before: Rays, after: object) -> list[str]:
     return wrong
 
 
-def wrong_occupancy(answer: object, device: torch.device | None = None) -> list[str]:
-    """Check that `nerfreg_occupancy` returned a grid of cells on the device of the field, or None.
-
-    Args:
-        answer: What it returned.
-        device: Where the field is; None where that is not known.
-    """
+def wrong_occupancy(answer: object) -> list[str]:
+    """Check that `nerfreg_occupancy` returned a grid of cells, all on one device, or None."""
     if answer is None:
         return []
     if not isinstance(answer, OccupancyGrid):
         return [f"returned {kind(answer)}, not an OccupancyGrid"]
     occupied, low, cell = answer.occupied, answer.low, answer.cell
-    if device is None and isinstance(low, Tensor):
-        device = low.device
+    device = occupied.device if isinstance(occupied, Tensor) else None
     wrong = unlike("low", low, torch.empty(3, device=device))
     if not (isinstance(occupied, Tensor) and occupied.ndim == 3 and occupied.numel()):
         found = f"{tuple(occupied.shape)}" if isinstance(occupied, Tensor) else kind(occupied)

@@ -5,7 +5,6 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import torch
-from torch import nn
 
 from nerfreg import NerfregError, OccupancyGrid, Regularizer, hookimpl
 
@@ -16,7 +15,7 @@ BIBTEX = """@article{laurentini1994hull, author = {Laurentini, Aldo}, year = {19
 
 @dataclass
 class Hull(Regularizer):
-    """Space is empty where a training view is transparent; it is never evaluated there.
+    """Space is empty where a training view is transparent; rays are not sampled there.
 
     Attributes:
         weight: There is no loss; 0 switches it off, anything else has no effect.
@@ -29,17 +28,16 @@ class Hull(Regularizer):
 
     @hookimpl
     def nerfreg_module(self, scene_info):
-        self._cells = nn.Module()
-        full = torch.ones((self.resolution,) * 3, dtype=torch.bool)
-        self._cells.register_buffer("occupied", full)
-        self._center, self._half = scene_info.center, scene_info.half_box
+        self._cells = torch.nn.Module()
+        self._cells.register_buffer("occupied", torch.ones((self.resolution,) * 3) > 0)
+        self._scene, self._grid = scene_info, None
         return self._cells
 
     @hookimpl
     def nerfreg_prepare(self, photographs):
         if photographs.images.shape[-1] < 4:
             raise NerfregError("reg.hull: the photographs have no alpha channel")
-        cameras, grid = photographs.cameras, self._grid()
+        cameras, grid = photographs.cameras, self.nerfreg_occupancy()
         centers, radius = grid.centers.view(-1, 3).cpu(), grid.cell * math.sqrt(3) / 2
         kept = torch.ones(len(centers), dtype=torch.bool)
         for view, image in enumerate(photographs.images):
@@ -52,13 +50,11 @@ class Hull(Regularizer):
             reach = math.ceil(float(size))
             pooled = torch.nn.functional.max_pool2d(image[None, ..., 3], 2 * reach + 1, 1, reach)[0]
             kept[shown] &= pooled[y[shown].long(), x[shown].long()] > 0
-        self._cells.occupied.copy_(kept.view_as(self._cells.occupied))
-        return {}
+        self._cells.occupied = kept.view_as(grid.occupied).to(grid.occupied.device)
 
     @hookimpl
-    def nerfreg_empty(self, positions):
-        return ~self._grid().contains(positions)
-
-    def _grid(self):
-        occupied = self._cells.occupied
-        return OccupancyGrid.over(self._center.to(occupied.device), self._half, occupied)
+    def nerfreg_occupancy(self):
+        occupied, scene = self._cells.occupied, self._scene
+        if self._grid is None or self._grid.occupied is not occupied:
+            self._grid = OccupancyGrid.over(scene.center, scene.half_box, occupied)
+        return self._grid
