@@ -22,7 +22,7 @@ from nerfreg.rendering.config import SamplerConfig
 from nerfreg.rendering.renderer import Renderer
 
 BOX = torch.tensor([[-1.0, -1.0, -1.0], [1.0, 1.0, 1.0]])
-SAMPLER = SamplerConfig(12, 20)
+SAMPLER = SamplerConfig(12, 20, inside=1.0)
 
 
 @dataclass
@@ -243,7 +243,7 @@ def test_a_repetition_equals_the_first(field: RadianceField, grid: OccupancyGrid
 
 def test_a_function_and_a_grid_agree(field: RadianceField, grid: OccupancyGrid) -> None:
     rays = some_rays(200)
-    sampler = SamplerConfig(256, 0)
+    sampler = SamplerConfig(256, 0, inside=1.0)
     by_grid, by_function = (
         Renderer(field, sampler, Hooks({"plugin": plugin})).render(rays, a_step())
         for plugin in (Cells(grid=grid), Outside(grid=grid))
@@ -290,7 +290,9 @@ def test_a_grid_that_leaves_nothing_out_changes_nothing(field: RadianceField) ->
 def test_fewer_samples_than_spans(field: RadianceField, grid: OccupancyGrid) -> None:
     rays = some_rays()
     for coarse, fine in ((1, 0), (1, 3), (2, 2)):
-        drawn = Renderer(field, SamplerConfig(coarse, fine), Hooks({"cells": Cells(grid=grid)}))
+        drawn = Renderer(
+            field, SamplerConfig(coarse, fine, inside=1.0), Hooks({"cells": Cells(grid=grid)})
+        )
         made = drawn.render(rays, a_step())
         assert made.t.shape[1] <= coarse + fine + coarse - 1
         assert (made.t_edges.diff(dim=1) >= 0).all() and made.rgb.isfinite().all()
@@ -303,7 +305,7 @@ def test_rays_that_miss_the_box_beside_rays_with_gaps(
     rays = some_rays()
     rays.far[::3] = rays.near[::3]
     for spacing in ("linear", "disparity"):
-        sampler = SamplerConfig(12, 20, spacing=spacing)
+        sampler = SamplerConfig(12, 20, spacing=spacing, inside=1.0)
         made = Renderer(field, sampler, Hooks({"cells": Cells(grid=grid)})).render(rays, a_step())
         assert made.t.isfinite().all() and made.rgb.isfinite().all()
         assert rays.background is not None
@@ -330,11 +332,24 @@ def test_importance_samples_gather_where_density_is(
     occupied = grid.occupied.clone()
     occupied[8:, :, 3:11] = False
     slabs = OccupancyGrid(occupied, grid.low, grid.cell)
-    made = Renderer(field, SamplerConfig(8, 24), Hooks({"cells": Cells(grid=slabs)})).render(
-        some_rays(), a_step()
-    )
+    made = Renderer(
+        field, SamplerConfig(8, 24, inside=1.0), Hooks({"cells": Cells(grid=slabs)})
+    ).render(some_rays(), a_step())
     z = positions(made)[..., 2]
     hit = made.opacity > 0.9
     assert hit.sum() > 20
     solid = (z < -0.6) & (z > -0.9)
     assert (solid.sum(dim=1)[hit] >= 24).all()
+
+
+def test_rays_with_known_empty_space_get_a_share_of_the_samples(
+    field: RadianceField, grid: OccupancyGrid
+) -> None:
+    rays, sampler = some_rays(), SamplerConfig(16, 24, inside=0.25)
+    hooks = Hooks({"cells": Cells(grid=grid)})
+    made = Renderer(field, sampler, hooks).render(rays, a_step())
+    runs = occupied_runs(grid, rays.origins, rays.directions, rays.near, rays.far)
+    spans = torch.bincount(runs.ray, minlength=40)
+    # A quarter of both, 4 + 6, and no more spans than there are coarse samples.
+    assert spans.max() > 4 and made.t.shape[1] == 10 + 3
+    assert Renderer(field, sampler, Hooks()).render(rays, a_step()).t.shape[1] == 40

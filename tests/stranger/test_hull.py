@@ -47,7 +47,8 @@ def test_keeps_all_surfaces_and_leaves_out_most_of_space(make) -> None:
 
 def test_spends_all_samples_inside(make) -> None:
     sizes = ("scene.views=8", "scene.size=48", "train.steps=3")
-    plain, carved = make(*sizes), make(*sizes, "+reg=hull", "reg.hull.resolution=48")
+    hull = ("+reg=hull", "reg.hull.resolution=48", "sampler.inside=1")
+    plain, carved = make(*sizes), make(*sizes, *hull)
     for trainer in (plain, carved):
         for _ in range(3):
             trainer.step()
