@@ -26,7 +26,7 @@ from nerfreg.training.config import OptimConfig, TrainConfig
 from nerfreg.training.trainer import Trainer
 
 FIELD = FieldConfig(levels=4, finest=32, log2_entries=10, hidden=16)
-SAMPLER = SamplerConfig(coarse=8, fine=8, skip_resolution=16)
+SAMPLER = SamplerConfig(coarse=8, fine=8, skip_resolution=16, inside=1.0)
 
 
 @pytest.fixture(scope="module")
