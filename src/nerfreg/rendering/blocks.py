@@ -43,21 +43,23 @@ class RayBlocks:
         return RayBlocks(origins, directions, near, far, points, self.view)
 
     def narrowed(self, cells: OccupancyGrid) -> RayBlocks:
-        """Return blocks whose rays begin and end in occupied cells.
+        """Return blocks that lie where rays of this view are in occupied cells.
 
-        Rays that meet none have no length, and lie where the first ray of their block begins.
+        All rays begin no nearer than the first of them enters a cell, and end where the last leaves
+        one. Rays that meet no cell have no length.
         """
         shape = self.near.shape
         origins, directions, near, far = (part.flatten(0, 1) for part in self.parts[:4])
         runs = occupied_runs(cells, origins, directions, near, far)
-        begin, end = torch.full_like(near, torch.inf), torch.full_like(near, -torch.inf)
-        begin = begin.scatter_reduce(0, runs.ray, runs.enter, "amin").view(shape)
-        end = end.scatter_reduce(0, runs.ray, runs.leave, "amax").view(shape)
-        first = begin.amin(dim=1, keepdim=True)
-        # A block that meets nothing at all stays where it was.
-        first = torch.where(first.isfinite(), first, self.far.amin(dim=1, keepdim=True))
-        met = end > begin
-        return replace(self, near=torch.where(met, begin, first), far=torch.where(met, end, first))
+        if len(runs.ray) == 0:
+            return replace(self, near=self.far)
+        # The same distances for all rays, and not those of each: scouts of neighbouring blocks tell
+        # each other what they have found by the number of the interval.
+        first, last = runs.enter.min(), runs.leave.max()
+        met = torch.zeros_like(near, dtype=torch.bool)
+        met[runs.ray] = True
+        near, far = near.clamp(first, last), torch.where(met, far.clamp(first, last), first)
+        return replace(self, near=torch.minimum(near, far).view(shape), far=far.view(shape))
 
     def to(self, device: torch.device) -> RayBlocks:
         """Return the same blocks on a device."""
