@@ -47,7 +47,7 @@ class Cells(nn.Module):
         cube[:x, :y, :z] = grid.occupied
         flat = torch.zeros(8 * len(self.bits), dtype=torch.uint8)
         flat[: cube.numel()] = cube.flatten()
-        self.bits.copy_((flat.view(-1, 8) << torch.arange(8)).sum(dim=1))
+        self.bits.copy_((flat.view(-1, 8) << torch.arange(8, dtype=torch.uint8)).sum(dim=1))
         self.low.copy_(grid.low)
         self.cell.fill_(grid.cell)
 
@@ -64,7 +64,8 @@ class Cells(nn.Module):
         cell = float(self.cell)
         if cell == 0:
             return None
-        flat = (self.bits[:, None] >> torch.arange(8, device=self.bits.device)) & 1
+        places = torch.arange(8, dtype=torch.uint8, device=self.bits.device)
+        flat = (self.bits[:, None] >> places) & 1
         cells = flat.flatten()[: self.resolution**3].bool()
         return OccupancyGrid(cells.view((self.resolution,) * 3), self.low.clone(), cell)
 
@@ -80,10 +81,10 @@ class Silhouettes(Regularizer):
         weight: There is no loss; 0 switches it off, anything else has no effect.
         resolution: Cells along the longest side of the hull.
         alpha: Pixels of more alpha than this belong to a silhouette.
-        margin: By how many pixels silhouettes are grown, in case what lies between the centres of
-            pixels is seen by none.
-        frame: Whether space outside of an image is empty if its silhouette does not touch the
-            border. It is not for a thing in several pieces that some photographs show in part.
+        margin: By how many pixels silhouettes are grown, rounded up, in case what lies between the
+            centres of pixels is seen by none.
+        frame: Whether space outside of an image is empty if its silhouette, grown, does not touch
+            the border. It is not for a thing in several pieces that some photographs show in part.
     """
 
     resolution: int = 192
@@ -107,7 +108,7 @@ class Silhouettes(Regularizer):
     def nerfreg_prepare(self, photographs: Photographs) -> dict[str, Tensor]:
         covered = silhouettes(photographs, self.alpha)
         if covered is None:
-            self._say("the photographs have neither alpha nor masks")
+            self._say("neither alpha nor masks of the photographs show a silhouette")
             return {}
         grid = visual_hull(photographs, covered, self.resolution, self.margin, self.frame)
         if grid is None:

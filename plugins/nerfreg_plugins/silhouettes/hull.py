@@ -20,7 +20,10 @@ ROUGH = 48
 """Cells along the box by which it is found where the hull lies."""
 
 CHUNK = 2**20
-"""Cells that are projected at once, which bounds the memory."""
+"""Most cells that are projected at once, which bounds the memory."""
+
+SLACK = 1e-3
+"""Part of a cell by which the grid is larger than it has to be."""
 
 MISSED = 2e-3
 """Share of the opaque pixels whose rays may miss the hull; more means that something is wrong."""
@@ -84,10 +87,11 @@ def _around(
         return None
     places = rough.nonzero()
     first, last = places.amin(dim=0), places.amax(dim=0) + 1
-    # A layer of empty cells all around, since outside of the grid the nearest cell counts.
-    cell = float((last - first).max()) * size / (resolution - 2)
-    needed = ((last - first) * size / cell - 1e-3).ceil().int() + 2
-    shape = needed.clamp_max(resolution).tolist()
+    # A layer of empty cells all around, since outside of the grid the nearest cell counts. A
+    # thousandth of a cell more, so that rounding cannot leave out the last cells of any side.
+    extent = (last - first) * size
+    cell = float(extent.max() / (resolution - 2 - 2 * SLACK))
+    shape = ((extent / cell + SLACK).ceil().int() + 2).tolist()
     begin = low + first * size - cell
     fine = _carved(views, begin, cell, shape)
     for axis in range(3):
@@ -102,30 +106,33 @@ def _carved(
     """Return which cells of a grid every view leaves possible."""
     side = 2**LEVELS
     coarse = [math.ceil(n / side) for n in shape]
-    places = torch.ones(coarse, dtype=torch.bool).nonzero()
+    occupied = torch.zeros(*(n * side for n in coarse), dtype=torch.bool)
+    for places in torch.ones(coarse, dtype=torch.bool).nonzero().split(CHUNK // side**3):
+        x, y, z = _descended(views, places, low, cell).unbind(dim=1)
+        occupied[x, y, z] = True
+    nx, ny, nz = shape
+    return occupied[:nx, :ny, :nz].contiguous()
+
+
+def _descended(
+    views: Sequence[PinholeView], places: Int[Tensor, "cells 3"], low: Tensor, cell: float
+) -> Int[Tensor, "possible 3"]:
+    """Return which of the smallest cells in some of the largest ones are possible."""
     halves = torch.tensor([[i, j, k] for i in (0, 1) for j in (0, 1) for k in (0, 1)])
-    while True:
-        places = _possible(views, places, low, cell * side)
-        if side == 1:
-            break
+    for level in range(LEVELS, 0, -1):
+        places = _possible(views, places, low, cell * 2**level)
         places = (2 * places[:, None] + halves).view(-1, 3)
-        side //= 2
-    places = places[(places < torch.tensor(shape)).all(dim=1)]
-    occupied = torch.zeros(*shape, dtype=torch.bool)
-    occupied[places[:, 0], places[:, 1], places[:, 2]] = True
-    return occupied
+    return _possible(views, places, low, cell)
 
 
 def _possible(
     views: Sequence[PinholeView], places: Int[Tensor, "cells 3"], low: Tensor, cell: float
 ) -> Int[Tensor, "possible 3"]:
-    kept = []
-    for chunk in places.split(CHUNK):
-        for view in views:
-            centers = low + (chunk + 0.5) * cell
-            chunk = chunk[view.may_show(centers, cell / 2)]
-        kept.append(chunk)
-    return torch.cat(kept)
+    centers = low.double() + (places + 0.5) * cell
+    possible = torch.ones(len(places), dtype=torch.bool)
+    for view in views:
+        view.exclude(possible, centers, cell / 2)
+    return places[possible]
 
 
 def _missed(
@@ -134,7 +141,7 @@ def _missed(
     """Return the share of opaque pixels whose rays meet no cell of the hull."""
     opaque = covered
     if photographs.masks is None:
-        opaque = photographs.images[..., 3] > OPAQUE
+        opaque = covered & (photographs.images[..., 3] > OPAQUE)
     pixels = opaque.nonzero()
     if len(pixels) == 0:
         return 0.0

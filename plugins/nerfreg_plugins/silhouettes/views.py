@@ -13,6 +13,7 @@ from torch.nn import functional
 from nerfreg import Photographs
 from nerfreg.scenes import lens
 from nerfreg.scenes.cameras import Cameras
+from nerfreg_plugins.silhouettes.projection import exclude_cubes
 
 
 def silhouettes(
@@ -30,9 +31,12 @@ def silhouettes(
         covered = photographs.images[..., 3] > alpha
     else:
         return None
-    # An alpha channel that is 1 everywhere tells nothing.
-    everywhere = covered if photographs.valid is None else covered | ~photographs.valid
-    return None if bool(everywhere.all()) else covered
+    valid = photographs.valid
+    if valid is None:
+        valid = torch.ones_like(covered)
+    covered = covered & valid
+    # An alpha channel that is the same everywhere tells nothing.
+    return covered if bool(covered.any()) and bool((valid & ~covered).any()) else None
 
 
 @dataclass(frozen=True)
@@ -74,68 +78,54 @@ class PinholeView:
             view: Which of them it is.
             covered: (H, W) which pixels show matter.
             margin: By how many pixels to grow the silhouette.
-            frame: Whether there is nothing outside of the image if the silhouette does not touch
-                its border.
+            frame: Whether there is nothing outside of the image if the silhouette, grown, does not
+                touch its border.
         """
+        reach = math.ceil(margin)
+        covered = _grown(covered, reach) if reach else covered
         border = torch.cat([covered[0], covered[-1], covered[:, 0], covered[:, -1]])
-        focal, center = cameras.focal[view], cameras.center[view]
-        beyond = None
+        center, beyond = cameras.center[view], None
         if cameras.distortion[view].any():
             covered, beyond, center = _undistorted(cameras, view, covered)
-        reach = math.ceil(margin)
-        if reach:
-            covered = _grown(covered, reach)
-            beyond = None if beyond is None else _grown(beyond, reach)
         pose = cameras.poses[view]
         return cls(
             pose[:, 3],
             pose[:, :3] * torch.tensor([1.0, -1.0, -1.0]),
-            focal,
+            cameras.focal[view],
             center,
             _sums(covered),
             None if beyond is None else _sums(beyond),
             bool(border.any()) or not frame,
         )
 
-    def may_show(self, centers: Float[Tensor, "cells 3"], half: float) -> Bool[Tensor, " cells"]:
-        """Return which cubes, aligned with the axes of the world, the silhouette leaves possible.
+    def exclude(
+        self, possible: Bool[Tensor, " cells"], centers: Float[Tensor, "cells 3"], half: float
+    ) -> None:
+        """Set to False which cubes, aligned with the axes of the world, the silhouette rules out.
 
-        Those whose projection meets the silhouette, or may meet what the view does not show; never
-        fewer.
+        Never one whose projection meets the silhouette, or may meet what the view does not show. A
+        projection is taken for the rectangle around that of a box along the axes of the camera,
+        which contains the cube.
 
         Args:
-            centers: (P, 3) their centres.
+            possible: (P,) which cubes are asked about; changed in place.
+            centers: (P, 3) their centres, in double.
             half: Half their sides.
         """
-        x, y, depth = ((centers - self.position) @ self.rotation).unbind(dim=1)
-        # How far cubes reach along the axes of the camera.
-        half_x, half_y, half_depth = (half * self.rotation.abs().sum(dim=0)).tolist()
-        front = depth - half_depth
-        ahead = front > 1e-3 * half
-        # (X + dx) / (Z + dz) differs from X / Z by (dx - dz X / Z) / (Z + dz).
-        safe = torch.where(ahead, depth, torch.ones_like(depth))
-        nearest = torch.where(ahead, front, torch.ones_like(depth))
-        low, high = [], []
-        for axis, (at, reach) in enumerate(((x, half_x), (y, half_y))):
-            slope = at / safe
-            middle = slope * self.focal[axis] + self.center[axis]
-            around = self.focal[axis] * (reach + slope.abs() * half_depth) / nearest
-            low.append(middle - around)
-            high.append(middle + around)
-        rows, columns = (n - 1 for n in self.covered.shape)
-        inside = (low[0] >= 0) & (low[1] >= 0) & (high[0] <= columns) & (high[1] <= rows)
-        corners = (
-            *((bound.floor().clamp(0, columns)).int() for bound in (low[0], high[0] + 1)),
-            *((bound.floor().clamp(0, rows)).int() for bound in (low[1], high[1] + 1)),
+        beyond = self.covered if self.beyond is None else self.beyond
+        exclude_cubes(
+            centers.numpy(),
+            float(half),
+            *(
+                part.double().contiguous().numpy()
+                for part in (self.position, self.rotation, self.focal, self.center)
+            ),
+            self.covered.numpy(),
+            beyond.numpy(),
+            self.beyond is not None,
+            self.open,
+            possible.numpy(),
         )
-        possible: Tensor = ahead & (_within(self.covered, *corners) > 0)
-        # What lies at the plane of the camera cannot be projected; what lies behind is not shown.
-        possible |= ~ahead & (depth + half_depth > 0)
-        if self.open:
-            possible |= ~inside | (depth + half_depth <= 0)
-            if self.beyond is not None:
-                possible |= _within(self.beyond, *corners) > 0
-        return possible
 
 
 def _undistorted(
@@ -144,34 +134,59 @@ def _undistorted(
     """Return a silhouette as a pinhole camera of the same focal lengths would show it.
 
     Returns:
-        (H', W') which pixels are covered, (H', W') which lie outside of the photograph, and (2,)
-        the principal point.
+        (H', W') which pixels meet the silhouette, (H', W') which meet what is outside of the
+        photograph, and (2,) the principal point.
     """
     height, width = covered.shape
-    x, y = torch.arange(width + 1.0), torch.arange(height + 1.0)
-    edge = torch.cat(
-        [
-            torch.stack([line, torch.full_like(line, end)], dim=1)
-            for line, end in ((x, 0.0), (x, float(height)))
-        ]
-        + [
-            torch.stack([torch.full_like(line, end), line], dim=1)
-            for line, end in ((y, 0.0), (y, float(width)))
-        ]
-    )
     focal, center = cameras.focal[view], cameras.center[view]
     coefficients = cameras.distortion[view]
+    edge = _edge(height, width)
     ideal = lens.undistort((edge - center) / focal, coefficients.expand(len(edge), 5)) * focal
-    low, high = ideal.amin(dim=0).floor(), ideal.amax(dim=0).ceil()
+    # A pixel more all around, for what the border does between the points that are looked at.
+    low, high = ideal.amin(dim=0).floor() - 1, ideal.amax(dim=0).ceil() + 1
     columns, rows = (int(n) for n in high - low)
     grid = torch.meshgrid(torch.arange(rows), torch.arange(columns), indexing="ij")
     points = torch.stack([grid[1], grid[0]], dim=-1).view(-1, 2) + 0.5 + low
-    shown = lens.distort(points / focal, coefficients.expand(len(points), 5)) * focal + center
-    # A pixel more, because pixels of both images do not cover each other.
+    coefficients = coefficients.expand(len(points), 5)
+    distorted = lens.distort(points / focal, coefficients)
+    shown = distorted * focal + center
     u, v = shown.floor().long().unbind(dim=1)
     outside = (u < 0) | (v < 0) | (u >= width) | (v >= height)
-    found = _grown(covered, 1)[v.clamp(0, height - 1), u.clamp(0, width - 1)] & ~outside
-    return found.view(rows, columns), outside.view(rows, columns), -low
+    # Far outside, the formula may fold back into the photograph, which shows nothing of this.
+    again = lens.undistort(distorted, coefficients) * focal
+    outside |= ~((again - points).abs() < 0.5).all(dim=1)
+    reach = _reach(shown.view(rows, columns, 2), outside.view(rows, columns))
+    found = _grown(covered, reach)[v.clamp(0, height - 1), u.clamp(0, width - 1)] & ~outside
+    # The centre of a pixel that the border crosses may lie inside.
+    return found.view(rows, columns), _grown(outside.view(rows, columns), 1), -low
+
+
+def _edge(height: int, width: int) -> Float[Tensor, "points 2"]:
+    """Points on the border of an image, a pixel apart."""
+    x, y = torch.arange(width + 1.0), torch.arange(height + 1.0)
+    return torch.cat(
+        [torch.stack([x, torch.full_like(x, end)], dim=1) for end in (0.0, float(height))]
+        + [torch.stack([torch.full_like(y, end), y], dim=1) for end in (0.0, float(width))]
+    )
+
+
+def _reach(shown: Float[Tensor, "rows columns 2"], outside: Bool[Tensor, "rows columns"]) -> int:
+    """How many pixels of a photograph away from a pixel's centre its corners may be shown.
+
+    Args:
+        shown: Where the photograph shows the centres of pixels.
+        outside: Which of them it does not show.
+    """
+    spans = []
+    for axis in (0, 1):
+        count = shown.shape[axis] - 1
+        ahead, here = shown.narrow(axis, 1, count), shown.narrow(axis, 0, count)
+        both = ~(outside.narrow(axis, 1, count) | outside.narrow(axis, 0, count))
+        steps = (ahead - here).abs()[both]
+        spans.append(float(steps.max()) if len(steps) else 1.0)
+    # Half of both steps, and a tenth for the curvature of the lens. A pixel that is met within this
+    # distance is at most so many, rounded down after adding 1, from that of the centre.
+    return math.floor(1 + 1.1 * sum(spans) / 2)
 
 
 def _grown(mask: Bool[Tensor, "height width"], reach: int) -> Bool[Tensor, "height width"]:
@@ -183,16 +198,3 @@ def _sums(mask: Bool[Tensor, "height width"]) -> Int[Tensor, "rows columns"]:
     """Sums over all pixels above and to the left of each corner."""
     sums: Tensor = functional.pad(mask.int().cumsum(0).cumsum(1), (1, 0, 1, 0))
     return sums.int()
-
-
-def _within(
-    sums: Int[Tensor, "rows columns"], left: Tensor, right: Tensor, top: Tensor, bottom: Tensor
-) -> Int[Tensor, " cells"]:
-    """Sums over rectangles of pixels, from the sums at their corners."""
-    flat, width = sums.view(-1), sums.shape[1]
-    return (
-        flat[bottom * width + right]
-        - flat[top * width + right]
-        - flat[bottom * width + left]
-        + flat[top * width + left]
-    )
