@@ -5,13 +5,13 @@ from __future__ import annotations
 from typing import no_type_check
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 
 COMPILED = {"cache": True, "nogil": True, "error_model": "numpy"}
 
 
 @no_type_check
-@njit(parallel=True, **COMPILED)
+@njit(**COMPILED)
 def exclude_cubes(
     centers,
     half,
@@ -29,7 +29,7 @@ def exclude_cubes(
     # How far cubes reach along the axes of the camera.
     reach = half * np.abs(rotation).sum(axis=0)
     rows, columns = covered.shape[0] - 1, covered.shape[1] - 1
-    for cube in prange(len(centers)):
+    for cube in range(len(centers)):
         if not possible[cube]:
             continue
         x, y, depth = _in_camera(centers[cube], position, rotation)
