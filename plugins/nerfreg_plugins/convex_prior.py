@@ -24,7 +24,7 @@ from nerfreg.numerics import exact, of_rays, single
 from nerfreg_plugins.references import convex_prior as reference
 
 CELLS = 96
-"""Cells across the box by which it is kept what is inside of the planes, and what holds points."""
+"""Cells across the box in which points are counted, and by which the inside is kept."""
 
 CROWD = 4
 """Points that a cell has to hold; fewer may be a mistake."""
@@ -118,7 +118,7 @@ class ConvexPrior(Regularizer):
     @hookimpl
     def nerfreg_module(self, scene_info: SceneInfo) -> nn.Module:
         self._planes = Planes(self.planes)
-        self._inside: OccupancyGrid | None = None
+        self._inside: tuple[object, OccupancyGrid | None] = (None, None)
         self._scene = scene_info
         return self._planes
 
@@ -162,13 +162,22 @@ class ConvexPrior(Regularizer):
 
     def _outside(self, rendering: Rendering) -> Bool[Tensor, "rays samples"] | None:
         """Return which samples lie outside of the planes; None if nothing is known."""
-        if self._inside is None:
-            if not bool(self._planes.offsets.isfinite().all()):
-                return None
-            self._inside = _inside(self._planes.offsets, self._scene)
+        grid = self._grid()
+        if grid is None:
+            return None
         rays, t = rendering.rays, rendering.t
         positions = rays.origins[:, None] + rays.directions[:, None] * t[..., None]
-        return ~self._inside.contains(positions.detach().view(-1, 3)).view(t.shape)
+        return ~grid.contains(positions.detach().view(-1, 3)).view(t.shape)
+
+    def _grid(self) -> OccupancyGrid | None:
+        """Return the cells inside of the planes, found again when these change."""
+        offsets = self._planes.offsets
+        # A checkpoint is restored into the buffer, and moving the field to a device replaces it.
+        key = (offsets._version, offsets.data_ptr(), offsets.device, offsets.dtype)
+        if key != self._inside[0]:
+            known = bool(offsets.isfinite().all())
+            self._inside = (key, _inside(offsets, self._scene) if known else None)
+        return self._inside[1]
 
 
 def _known_points(photographs: Photographs) -> Float[Tensor, "points 3"]:
@@ -203,10 +212,13 @@ def _crowded(
 
 
 def _inside(offsets: Float[Tensor, " planes"], scene: SceneInfo) -> OccupancyGrid:
-    """Return which cells of the cube around the box have their centres inside of all planes."""
+    """Return which cells of the cube around the box meet the inside of every plane."""
     everywhere = torch.ones((CELLS,) * 3, dtype=torch.bool, device=offsets.device)
     grid = OccupancyGrid.over(scene.center.to(offsets), scene.half_box, everywhere)
     normals = directions(len(offsets)).to(offsets)
     centers = (grid.centers - scene.center.to(offsets)).view(-1, 3)
-    inside = torch.cat([(some @ normals.T <= offsets).all(dim=1) for some in centers.split(CHUNK)])
+    # The corner of a cell that lies farthest inside decides, so that no point on the inner side of
+    # all planes is taken for one outside.
+    reach = offsets + grid.cell / 2 * normals.abs().sum(dim=1)
+    inside = torch.cat([(some @ normals.T <= reach).all(dim=1) for some in centers.split(CHUNK)])
     return OccupancyGrid(inside.view_as(everywhere), grid.low, grid.cell)

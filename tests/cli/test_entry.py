@@ -7,6 +7,7 @@ import os
 import subprocess
 import sys
 import time
+import warnings
 from pathlib import Path
 
 import pytest
@@ -15,7 +16,7 @@ from nerfreg import __version__
 from nerfreg.cli import launch, main
 from nerfreg.cli.parser import make_parser, parsers_of
 from nerfreg.cli.render_options import RenderOptions, parse_render_options
-from nerfreg.errors import NerfregError
+from nerfreg.errors import NerfregError, NerfregWarning
 from nerfreg.runs.citations import cite
 
 TINY = [
@@ -154,6 +155,41 @@ def test_interrupt(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixtur
     monkeypatch.setattr(launch, "train", interrupt)
     assert main(["train"]) == 130
     assert capsys.readouterr().err.splitlines() == ["nerfreg: interrupted"]
+
+
+def test_a_warning_of_ours_is_one_line_and_shown_once(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def warn(*_: object) -> None:
+        for text in ("a plugin does nothing", "a plugin does nothing", "another one"):
+            warnings.warn(text, NerfregWarning, stacklevel=2)
+        warnings.warn("of somebody else", UserWarning, stacklevel=1)
+
+    monkeypatch.setattr(launch, "train", warn)
+    shows = warnings.showwarning
+    for _ in range(2):
+        # A second run of the same process says it again. Others are left to Python.
+        with pytest.warns(UserWarning, match="of somebody else") as others:
+            warnings.simplefilter("default")
+            assert main(["train"]) == 0
+        assert [str(other.message) for other in others] == ["of somebody else"]
+        assert capsys.readouterr().err.splitlines() == [
+            "nerfreg: warning: a plugin does nothing",
+            "nerfreg: warning: another one",
+        ]
+    assert warnings.showwarning is shows
+
+
+def test_a_plugin_that_does_nothing_says_so(
+    elsewhere: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    # Forward-facing photographs have no alpha.
+    words = ["train", "+reg=silhouettes", "scene.layout=forward", *TINY, *SHORT]
+    assert main(words) == 0
+    lines = capsys.readouterr().err.splitlines()
+    said = "nerfreg: warning: reg.silhouettes: does nothing: neither alpha nor masks"
+    assert len([line for line in lines if line.startswith(said)]) == 1
+    assert not any("NerfregWarning" in line for line in lines)
 
 
 def test_refused_run_keeps_what_was_there(elsewhere: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -55,7 +55,8 @@ class Cells(nn.Module):
     def grid(self) -> OccupancyGrid | None:
         """The cells, unpacked when they change; None as long as nothing is known."""
         # A checkpoint is restored into the buffers, and moving the field to a device replaces them.
-        key = (self.bits._version, self.bits.device, self.bits.data_ptr())
+        parts = (self.bits, self.low, self.cell)
+        key = tuple((part._version, part.data_ptr(), part.device, part.dtype) for part in parts)
         if key != self._made[0]:
             self._made = (key, self._unpacked())
         return self._made[1]

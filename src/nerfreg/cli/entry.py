@@ -5,14 +5,17 @@ from __future__ import annotations
 import os
 import sys
 import traceback
-from collections.abc import Sequence
+import warnings
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from typing import Any
 
 from nerfreg import __version__
 from nerfreg.cli import verbs
 from nerfreg.cli.arguments import Parser
 from nerfreg.cli.completion import answer_completion, print_shell_code
 from nerfreg.cli.parser import make_parser, parsers_of
-from nerfreg.errors import NerfregError, nearest
+from nerfreg.errors import NerfregError, NerfregWarning, nearest
 
 COMPLETION = ("-sc", "--shell-completion")
 
@@ -34,7 +37,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     debug = "--debug" in words
     words = [word for word in words if word != "--debug"]
     try:
-        code = _dispatch(words) or 0
+        with _warnings_in_one_line():
+            code = _dispatch(words) or 0
         # Here, where a reader that has gone is no error yet, and not when the interpreter ends.
         sys.stdout.flush()
         return code
@@ -53,6 +57,30 @@ def main(arguments: Sequence[str] | None = None) -> int:
         # flushes.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 141
+
+
+@contextmanager
+def _warnings_in_one_line() -> Iterator[None]:
+    """Within this context, warnings of nerfreg are one line each, and others as Python shows them.
+
+    Each text is shown once. While a progress bar is live, what is printed appears above it.
+    """
+    with warnings.catch_warnings():
+        # Python's own memory of what it has shown is by place in the code, and a second run of the
+        # same process has warnings of its own.
+        warnings.simplefilter("always", NerfregWarning)
+        python_shows = warnings.showwarning
+        shown: set[str] = set()
+
+        def show(message: Warning | str, category: type[Warning], *place: Any, **more: Any) -> None:
+            if not issubclass(category, NerfregWarning):
+                python_shows(message, category, *place, **more)
+            elif str(message) not in shown:
+                shown.add(str(message))
+                print(f"nerfreg: warning: {message}", file=sys.stderr)
+
+        warnings.showwarning = show
+        yield
 
 
 def _dispatch(words: list[str]) -> int | None:
