@@ -1,9 +1,9 @@
 """Matter lies inside the convex hull of what is known, unless photographs insist.
 
-Our own. What no training view shows, such as the space below a plate, is otherwise filled with
-whatever the field happens to make of it. Penalizing all matter that is not seen takes away the
-hidden sides of things (docs/choosing.md); outside of the convex hull of the known points nothing
-has a hidden side.
+Our own; support planes: Rockafellar 1970, section 13. What no training view shows, such as the
+space below a plate, is otherwise filled with whatever the field happens to make of it. Penalizing
+all matter that is not seen takes away the hidden sides of things (docs/choosing.md); outside of the
+convex hull of the known points nothing has a hidden side.
 """
 
 from __future__ import annotations
@@ -38,16 +38,16 @@ CHUNK = 2**16
 
 def outside_opacity(
     tau: Float[Tensor, "rays samples"] | Float[Tensor, "rays samples 1"],
-    outside: Bool[Tensor, "rays samples"],
+    outside: Bool[Tensor, "rays samples"] | Bool[Tensor, "rays samples 1"],
 ) -> Float[Tensor, ""]:
     """Return the sum of the opacities 1 - exp(-tau) of samples outside, mean over rays.
 
     Args:
         tau: Optical thickness of the intervals, `(R, N)` or `(R, N, 1)`.
-        outside: Which samples lie outside, `(R, N)`.
+        outside: Which samples lie outside, of the same shape.
     """
     tau = single(of_rays("tau", tau, 2))
-    opacity = torch.where(outside, -torch.expm1(-tau), 0.0)
+    opacity = torch.where(of_rays("outside", outside, 2), -torch.expm1(-tau), 0.0)
     return opacity.sum() / max(len(tau), 1)
 
 
@@ -109,7 +109,7 @@ class ConvexPrior(Regularizer):
     share: float = 0.9995
     growth: float = 0.02
 
-    cite: ClassVar[str] = "laurentini1994hull"
+    cite: ClassVar[str] = "rockafellar1970convex"
 
     def __post_init__(self) -> None:
         require_range("reg.convex_prior", self, planes=(4, 10_000), share=(0.5, 1.0))

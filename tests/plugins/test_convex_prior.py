@@ -3,6 +3,7 @@ from __future__ import annotations
 import math
 import warnings
 from dataclasses import replace
+from types import SimpleNamespace
 
 import mpmath
 import pytest
@@ -132,25 +133,21 @@ def known(scale: float = 1.0, **parts: torch.Tensor) -> Photographs:
     )
 
 
-class NoEmptiness:
-    """A field of which nothing is declared empty, or all that `empty` says."""
-
-    def __init__(self, empty=lambda points: torch.zeros(len(points), dtype=torch.bool)) -> None:
-        self.empty = empty
+def nowhere(points: torch.Tensor) -> torch.Tensor:
+    return torch.zeros(len(points), dtype=torch.bool)
 
 
-def started(photographs: Photographs, step, field=None, **options: float) -> ConvexPrior:
+def started(photographs: Photographs, step, empty=nowhere, **options: float) -> ConvexPrior:
     plugin = ConvexPrior(**options)
     plugin.nerfreg_module(photographs)
     plugin.nerfreg_prepare(photographs)
     made = step()
-    plugin.nerfreg_start(with_field(made, field or NoEmptiness()))
+    # A field that can tell nothing but what is declared empty.
+    names = ("tables", "encode", "density", "density_gradient", "color", "activate")
+    others = dict.fromkeys(names, nowhere)
+    made.renderer.view = lambda step: SimpleNamespace(**others, empty=empty)
+    plugin.nerfreg_start(made)
     return plugin
-
-
-def with_field(step, field):
-    step.renderer.view = lambda step: field
-    return step
 
 
 def outside(plugin: ConvexPrior, positions: torch.Tensor, rendering) -> torch.Tensor:
@@ -234,8 +231,7 @@ def test_points_in_empty_space_do_not_count(step, rendering):
     at_the_corner = torch.tensor([[0.75, 0.75, 0.75]])
     plugin = started(known(points=points), step)
     assert not outside(plugin, at_the_corner, rendering).any()
-    field = NoEmptiness(lambda points: points.amin(dim=1) > 0.7)
-    plugin = started(known(points=points), step, field)
+    plugin = started(known(points=points), step, lambda points: points.amin(dim=1) > 0.7)
     assert outside(plugin, at_the_corner, rendering).all()
 
 
@@ -248,7 +244,7 @@ def test_too_few_points(step, rendering, points):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         assert plugin.nerfreg_loss(made) == {}
-        assert plugin.nerfreg_reference(made, step()) is None
+        assert plugin.nerfreg_reference(made) is None
 
 
 def test_a_cell_needs_a_few_points(step):
@@ -270,7 +266,7 @@ def test_loss_and_reference(step, rendering):
     term = plugin.nerfreg_loss(made)["convex"]
     assert term.item() == pytest.approx((-torch.expm1(-made.tau))[found].sum().item() / 4)
     with mpmath.workdps(30):
-        expected = plugin.nerfreg_reference(made, step())["convex"]
+        expected = plugin.nerfreg_reference(made)["convex"]
     assert term.item() == pytest.approx(float(expected), rel=1e-6)
 
 
@@ -292,15 +288,11 @@ def test_planes_that_are_restored_replace_those_in_use(step, rendering):
 def test_a_run_with_and_without_silhouettes(make, others):
     sizes = ("scene.size=48", "scene.views=4", "train.rays=512")
     words = others or ("+reg=convex_prior",)
-    own = ("reg.convex_prior.weight={schedule: linear, start: 0.0, end: 1.0}",)
-
-    def with_depth(scene):
-        return scene
-
+    own = ("reg.convex_prior.weight={schedule: linear, from: 0.001, to: 0.1}",)
     with warnings.catch_warnings():
         # No file and no plugin knows any points of this scene.
         warnings.simplefilter("ignore", NerfregWarning)
-        trainer = make(*words, *sizes, *own, change=with_depth)
+        trainer = make(*words, *sizes, *own)
     plugin = trainer.hooks.plugins["convex_prior"]
     assert not [term for term in trainer.step() if term.plugin == "convex_prior"]
     plugin._planes.offsets.fill_(0.2)

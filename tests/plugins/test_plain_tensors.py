@@ -7,6 +7,7 @@ from collections.abc import Callable
 
 import pytest
 import torch
+from nerfreg_plugins.convex_prior import outside_opacity
 from nerfreg_plugins.depth_smoothness import depth_smoothness_loss
 from nerfreg_plugins.distortion import distortion_loss
 from nerfreg_plugins.entropy import entropy_loss
@@ -18,6 +19,7 @@ from nerfreg_plugins.unseen_smoothness import unseen_smoothness_loss
 from torch import Tensor
 
 RAYS, SAMPLES = 6, 9
+OUTSIDE = torch.arange(RAYS * SAMPLES).view(RAYS, SAMPLES) % 2 == 0
 KNOWN = torch.tensor([[2.5, 3.0]]).repeat(RAYS, 1)
 
 
@@ -46,6 +48,7 @@ LOSSES: dict[Callable[..., Tensor], Callable[[], tuple[Tensor, ...]]] = {
     full_geometry_loss_of_thickness: lambda: (tau(),),
     kl_loss: lambda: (weights(), weights().flip(0)),
     stereo_loss: lambda: (weights(), edges()),
+    outside_opacity: lambda: (tau(), OUTSIDE),
     depth_smoothness_loss: lambda: (patches(),),
     unseen_smoothness_loss: lambda: (patches(),),
 }
