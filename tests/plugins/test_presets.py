@@ -160,7 +160,7 @@ def test_every_plugin_says_what_it_is_and_whom_to_cite(name):
     entries = plugin_entries(name, cls)
     assert entries
     for entry in entries.values():
-        assert entry.startswith(("@inproceedings{", "@article{"))
+        assert entry.startswith(("@inproceedings{", "@article{", "@book{"))
         assert entry.count("{") == entry.count("}")
     assert not (cls.__doc__ or "").startswith(f"{cls.__name__}("), (
         "a dataclass without a docstring gets its signature"
