@@ -1,6 +1,6 @@
 """Matter lies inside the convex hull of what is known, unless photographs insist.
 
-Our own; support planes: Rockafellar 1970, section 13. What no training view shows, such as the
+Our own; support planes: Prince and Willsky 1990. What no training view shows, such as the
 space below a plate, is otherwise filled with whatever the field happens to make of it. Penalizing
 all matter that is not seen takes away the hidden sides of things (docs/choosing.md); outside of the
 convex hull of the known points nothing has a hidden side.
@@ -109,7 +109,7 @@ class ConvexPrior(Regularizer):
     share: float = 0.9995
     growth: float = 0.02
 
-    cite: ClassVar[str] = "rockafellar1970convex"
+    cite: ClassVar[str] = "prince1990convex"
 
     def __post_init__(self) -> None:
         require_range("reg.convex_prior", self, planes=(4, 10_000), share=(0.5, 1.0))

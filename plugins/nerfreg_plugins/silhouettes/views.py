@@ -151,13 +151,17 @@ def _undistorted(
     distorted = lens.distort(points / focal, coefficients)
     shown = distorted * focal + center
     u, v = shown.floor().long().unbind(dim=1)
-    outside = (u < 0) | (v < 0) | (u >= width) | (v >= height)
     # Far outside, the formula may fold back into the photograph, which shows nothing of this.
     again = lens.undistort(distorted, coefficients) * focal
-    outside |= ~((again - points).abs() < 0.5).all(dim=1)
+    folded = ~((again - points).abs() < 0.5).all(dim=1)
+    outside = folded | (u < 0) | (v < 0) | (u >= width) | (v >= height)
     reach = _reach(shown.view(rows, columns, 2), outside.view(rows, columns))
-    found = _grown(covered, reach)[v.clamp(0, height - 1), u.clamp(0, width - 1)] & ~outside
-    # The centre of a pixel that the border crosses may lie inside.
+    # With room on all sides, since the centre of a pixel that the border crosses may lie outside.
+    room = reach + 1
+    grown = _grown(functional.pad(covered, (room,) * 4), reach)
+    u, v = ((at + room).clamp(0, n + 2 * room - 1) for at, n in ((u, width), (v, height)))
+    found = grown[v, u] & ~folded
+    # Likewise, or it may lie inside.
     return found.view(rows, columns), _grown(outside.view(rows, columns), 1), -low
 
 
