@@ -14,6 +14,8 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
+from nerfreg.rendering.spans import Places
+
 
 class FieldValues(NamedTuple):
     """Values of the field at N samples of each of R rays.
@@ -52,11 +54,17 @@ class FieldValues(NamedTuple):
         dense = density.new_zeros(shape.numel()).index_copy(0, places, density)
         return cls(dense.view(shape), raw, rows.view(shape))
 
-    def with_nothing(self, count: int) -> FieldValues:
-        """Return the same with `count` more samples on each ray that have not been evaluated."""
-        density = self.density.new_zeros(len(self.density), count)
+    def arranged(self, places: Places) -> FieldValues:
+        """Return values of samples in order, with nothing in the gaps between them."""
+        if places.order is None:
+            return self
+        gaps = places.order.shape[1] - self.density.shape[1]
+        if not gaps:
+            return self.ordered(places.order)
+        density = self.density.new_zeros(len(self.density), gaps)
         raw = self.raw.new_zeros(1, self.raw.shape[1])
-        return self.followed_by(FieldValues(density, raw, density.long()))
+        nothing = FieldValues(density, raw, density.long())
+        return self.followed_by(nothing).ordered(places.order)
 
     @property
     def raw_density(self) -> Float[Tensor, "rays samples"]:

@@ -24,6 +24,7 @@ from nerfreg.rendering.compositing import assemble, integrate
 from nerfreg.rendering.config import SampleCounts, SamplerConfig
 from nerfreg.rendering.emptiness import sampled_runs
 from nerfreg.rendering.field_values import FieldValues
+from nerfreg.rendering.groups import per_group, per_ray
 from nerfreg.rendering.render_hooks import RenderHooks
 from nerfreg.rendering.sampling import importance
 from nerfreg.rendering.spans import MOST_SPANS, Places, Spans
@@ -114,7 +115,7 @@ class Renderer:
         # same t. So one row of t is drawn for each group, over spans that cover all its rays.
         shared, counts = self._spans(rays, step)
         groups, spans = rays.groups, shared.per_ray(rays.groups)
-        coarse = _per_ray(
+        coarse = per_ray(
             shared.stratified(counts.coarse, self.sampler.spacing, step.generator), groups
         )
         coarse_samples, positions = self._encode(rays, coarse, step)
@@ -123,25 +124,24 @@ class Renderer:
         # composited with the fine ones, so that the gradient goes through both evaluations.
         with torch.no_grad():
             places = spans.arranged(coarse)
-            weights = integrate(_arranged(first, places).density, places.edges).weights
+            weights = integrate(first.arranged(places).density, places.edges).weights
             fine = importance(
                 # Edges are equal within a group. The smallest is exactly this value, while a mean
                 # would be rounded.
-                _per_group(places.edges, groups, "amin"),
+                per_group(places.edges, groups, "amin"),
                 # The mean sees what any ray of the group has hit, so that a surface that only one
                 # of two neighbours meets gets samples on both.
-                _per_group(weights, groups, "mean"),
+                per_group(weights, groups, "mean"),
                 counts.fine,
                 step.generator,
                 None
                 if places.is_sample is None
-                else _per_group(places.is_sample.to(weights), groups, "amin"),
+                else per_group(places.is_sample.to(weights), groups, "amin"),
             )
-            fine = _per_ray(fine, groups)
+            fine = per_ray(fine, groups)
             places = spans.arranged(coarse, fine)
         fine_samples, positions = self._encode(rays, fine, step)
-        values = first.followed_by(self._evaluate(fine_samples, positions, step))
-        values = _arranged(values, places)
+        values = first.followed_by(self._evaluate(fine_samples, positions, step)).arranged(places)
         directions = _merged_directions(coarse_samples, fine_samples, places)
         color = self._color(rays, places.t, values, directions, fine_samples, step)
         return self._composite(
@@ -152,7 +152,7 @@ class Renderer:
         """Return where each group of rays is sampled, and how often."""
         near, far = self.hooks.ray_bounds(rays, step)
         groups = rays.groups
-        whole = _per_group(near, groups, "amin"), _per_group(far, groups, "amax")
+        whole = per_group(near, groups, "amin"), per_group(far, groups, "amax")
         runs = sampled_runs(self.hooks, rays, near, far, step)
         if runs is None:
             return Spans.whole(*whole), self.sampler.counts
@@ -239,14 +239,6 @@ class Renderer:
         return color
 
 
-def _arranged(values: FieldValues, places: Places) -> FieldValues:
-    """Put values of samples in order, with nothing in the gaps between them."""
-    if places.order is None:
-        return values
-    gaps = places.order.shape[1] - values.density.shape[1]
-    return (values.with_nothing(gaps) if gaps else values).ordered(places.order)
-
-
 def _merged_directions(coarse: Samples, fine: Samples, places: Places) -> Tensor:
     """Return (R, 3), or (R, M, 3) in the order of all places where a plugin made them differ."""
     if coarse.directions.dim() == fine.directions.dim() == 2 or places.order is None:
@@ -261,19 +253,3 @@ def _merged_directions(coarse: Samples, fine: Samples, places: Places) -> Tensor
     # Nothing is seen in gaps, from wherever.
     parts.append(parts[0].new_zeros(len(parts[0]), gaps, 3))
     return torch.cat(parts, dim=1).gather(1, places.order[..., None].expand(-1, -1, 3))
-
-
-def _per_group(values: Tensor, groups: Tensor | None, reduce: str) -> Tensor:
-    """Return the smallest, largest or mean of the rows of each group; all rows without groups."""
-    if groups is None:
-        return values
-    count = int(groups.max()) + 1
-    index = groups if values.dim() == 1 else groups[:, None].expand_as(values)
-    shape = (count, *values.shape[1:])
-    # The zeros must not take part, or the smallest of positive values would be 0.
-    return values.new_zeros(shape).scatter_reduce(0, index, values, reduce, include_self=False)
-
-
-def _per_ray(values: Tensor, groups: Tensor | None) -> Tensor:
-    """Return the row of each ray's group."""
-    return values if groups is None else values[groups]
