@@ -114,11 +114,12 @@ class ConvexPrior(Regularizer):
     def __post_init__(self) -> None:
         require_range("reg.convex_prior", self, planes=(4, 10_000), share=(0.5, 1.0))
         require_range("reg.convex_prior", self, growth=(0.0, 10.0))
+        # Benches and checks drive the loss without a field; nothing is known then.
+        self._forget()
 
     @hookimpl
     def nerfreg_module(self, scene_info: SceneInfo) -> nn.Module:
-        self._planes = Planes(self.planes)
-        self._inside: tuple[object, OccupancyGrid | None] = (None, None)
+        self._forget()
         self._scene = scene_info
         return self._planes
 
@@ -159,6 +160,10 @@ class ConvexPrior(Regularizer):
             return None
         tau: list[list[mpf]] = exact(given.tau)
         return {"convex": reference.outside_opacity(tau, outside.tolist())}
+
+    def _forget(self) -> None:
+        self._planes = Planes(self.planes)
+        self._inside: tuple[object, OccupancyGrid | None] = (None, None)
 
     def _outside(self, rendering: Rendering) -> Bool[Tensor, "rays samples"] | None:
         """Return which samples lie outside of the planes; None if nothing is known."""

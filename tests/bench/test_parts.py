@@ -97,11 +97,11 @@ def test_a_step_in_parts_trains_as_any_other(make: Callable[..., Trainer]) -> No
 
 
 def test_everything_is_put_back(make: Callable[..., Trainer]) -> None:
-    trainer, before = make(), renderer.stratified
+    trainer, before = make(), renderer.importance
     with timed_parts(trainer):
-        assert renderer.stratified is not before
+        assert renderer.importance is not before
         assert "losses" in vars(trainer.hooks)
-    assert renderer.stratified is before
+    assert renderer.importance is before
     for owner in (
         trainer,
         trainer.hooks,

@@ -293,8 +293,9 @@ class Sorts(Regularizer):
     ],
 )
 def test_quadratic_cost(cls, line, found):
-    [message] = found(cls, "cost")["cost"]
-    assert message.startswith(line)
+    # On a busy machine the other axis may seem to be quadratic, too.
+    messages = found(cls, "cost")["cost"]
+    assert any(message.startswith(line) for message in messages)
 
 
 def test_sorting_is_not_quadratic(found):

@@ -191,8 +191,8 @@ def test_configuration_has_every_key() -> None:
 
 def test_defaults_are_those_of_the_files() -> None:
     page = configuration()
-    # conf/field/hash_grid.yaml: ${by_layout:2048,1024}; conf/scene/llff.yaml: views: 3
-    assert "| `field.finest` | int | `1024`; forward: `2048` |" in page
+    # conf/field/hash_grid.yaml: ${by_layout:2048,1024,2048}; conf/scene/llff.yaml: views: 3
+    assert "| `field.finest` | int | `1024`; forward: `2048`; room: `2048` |" in page
     assert "| `scene.views` | int or null | `3` |" in page
     assert "also sets `train.rays=512`, `train.steps=1500`" in page
     assert "| `+reg=combinerf` |" in page

@@ -6,7 +6,6 @@ from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import fields, is_dataclass
-from inspect import isfunction
 from statistics import mean
 from time import perf_counter
 from typing import Any
@@ -18,7 +17,7 @@ from torch.autograd.graph import Node
 from nerfreg.bench.configured import step_at
 from nerfreg.hooks import Rendering, Step
 from nerfreg.registry import Hooks, Term
-from nerfreg.rendering import renderer, sampling
+from nerfreg.rendering import renderer, spans
 from nerfreg.training import loss
 from nerfreg.training.trainer import Trainer
 
@@ -148,8 +147,8 @@ def timed_parts(trainer: Trainer) -> Iterator[Stopwatch]:
 
 
 HOOKS = (
-    "begin", "needs", "rays", "ray_bounds", "empty", "encoder_input", "density", "color_input",
-    "rendering", "step_end",
+    "begin", "needs", "rays", "ray_bounds", "occupancy", "empty", "encoder_input", "density",
+    "color_input", "rendering", "step_end",
 )  # fmt: skip
 """The hooks of a step that are timed together; losses are timed by plugin."""
 
@@ -159,9 +158,10 @@ def _seams(trainer: Trainer) -> Iterator[tuple[Any, str, str]]:
     yield trainer.batches, "draw", "rays"
     for hook in HOOKS:
         yield trainer.hooks, hook, "hooks"
-    for name, function in vars(sampling).items():
-        if isfunction(function) and getattr(renderer, name, None) is function:
-            yield renderer, name, "sampling"
+    for name in ("stratified", "arranged"):
+        yield spans.Spans, name, "sampling"
+    for name in ("importance", "sampled_runs"):
+        yield renderer, name, "sampling"
     yield trainer.field.grid, "forward", "hash grid"
     for name in ("raw_density", "density", "color"):
         yield trainer.field, name, "networks"

@@ -29,6 +29,9 @@ TOGETHER = {
 }
 """What one hook is useless without, or has no meaning without."""
 
+WIDTH = 100
+"""Of a line; what does not fit is imported one name a line, as formatters write it."""
+
 STANDARD = {"ClassVar": "typing", "dataclass": "dataclasses", "replace": "dataclasses"}
 """The modules of the standard library that names in the templates come from."""
 
@@ -112,7 +115,10 @@ def _lines(origins: Mapping[str, str], used: Collection[str]) -> str:
     lines = [f"import {name}" for name in sorted(used) if origins.get(name) == ""]
     for module in sorted(filter(None, modules)):
         taken = sorted(name for name in used if origins.get(name) == module)
-        lines.append(f"from {module} import {', '.join(taken)}")
+        line = f"from {module} import {', '.join(taken)}"
+        if len(line) > WIDTH:
+            line = "\n".join([f"from {module} import (", *(f"    {name}," for name in taken), ")"])
+        lines.append(line)
     return "\n".join(lines)
 
 
