@@ -151,6 +151,5 @@ def _missed(
     bounds = photographs.clipped(*rays)
     # Pixels that look past the box have nothing to see in it.
     asked = bounds[1] > bounds[0]
-    met = torch.zeros_like(asked)
-    met[occupied_runs(grid, *rays, *bounds).ray] = True
+    met = occupied_runs(grid, *rays, *bounds).met(len(asked))
     return float((asked & ~met).sum()) / max(int(asked.sum()), 1)

@@ -188,9 +188,7 @@ class RayBatches:
             pixels = self.pixels[self.pixels[:, 0] == image]
             rays = self.scene.cameras.rays(view.expand(len(pixels)), pixels[:, 1:])
             bounds = clip_to_box(*rays, self.scene.box, self.scene.near, self.scene.far)
-            met = torch.zeros(len(pixels), dtype=torch.bool)
-            met[occupied_runs(grid, *rays, *bounds).ray] = True
-            kept.append(pixels[met])
+            kept.append(pixels[occupied_runs(grid, *rays, *bounds).met(len(pixels))])
         self.pixels = torch.cat(kept)
         if len(self.pixels) == 0:
             raise NerfregError(

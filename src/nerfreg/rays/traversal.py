@@ -30,6 +30,12 @@ class Runs(NamedTuple):
     enter: Float[Tensor, " runs"]
     leave: Float[Tensor, " runs"]
 
+    def met(self, rays: int) -> Bool[Tensor, " rays"]:
+        """Return which of so many rays have any part, `(rays,)`."""
+        found = torch.zeros(rays, dtype=torch.bool, device=self.ray.device)
+        found[self.ray] = True
+        return found
+
 
 def occupied_runs(
     grid: OccupancyGrid,

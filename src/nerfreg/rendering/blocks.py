@@ -56,9 +56,8 @@ class RayBlocks:
         # The same distances for all rays, and not those of each: scouts of neighbouring blocks tell
         # each other what they have found by the number of the interval.
         first, last = runs.enter.min(), runs.leave.max()
-        met = torch.zeros_like(near, dtype=torch.bool)
-        met[runs.ray] = True
-        near, far = near.clamp(first, last), torch.where(met, far.clamp(first, last), first)
+        near = near.clamp(first, last)
+        far = torch.where(runs.met(len(far)), far.clamp(first, last), first)
         return replace(self, near=torch.minimum(near, far).view(shape), far=far.view(shape))
 
     def to(self, device: torch.device) -> RayBlocks:
